@@ -1,0 +1,191 @@
+"""Configuration as frozen dataclasses: to and from plain data, overrides, fingerprints.
+
+One dataclass per stage lives beside its stage; this file knows none of them. An unknown key is an
+error that names the nearest known one. The canonical JSON of a configuration gives its
+fingerprint, which every file made with it carries.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from bidexdata.errors import BadConfig, PathNotFound, UnknownKey
+
+T = TypeVar("T")
+
+
+def to_plain(config: Any) -> Any:
+    """Turn a (nested) dataclass into dicts, lists and scalars that JSON can hold."""
+    if dataclasses.is_dataclass(config) and not isinstance(config, type):
+        return {f.name: to_plain(getattr(config, f.name)) for f in dataclasses.fields(config)}
+    if isinstance(config, Mapping):
+        return {str(k): to_plain(v) for k, v in config.items()}
+    if isinstance(config, (list, tuple)):
+        return [to_plain(v) for v in config]
+    if isinstance(config, Path):
+        return config.as_posix()
+    return config
+
+
+def from_plain(cls: type[T], data: Mapping[str, Any], where: str | None = None) -> T:
+    """Build dataclass `cls` from plain data.
+
+    Args:
+        cls: A frozen dataclass; nested dataclasses and tuples are rebuilt too.
+        data: Keys are field names; missing keys take the field's default.
+        where: How messages name this level; the class name when omitted.
+
+    Raises:
+        UnknownKey: A key of `data` is no field of `cls`.
+        BadConfig: A value has the wrong type, or `cls` itself refuses it.
+    """
+    where = where or cls.__name__
+    if not isinstance(data, Mapping):
+        raise BadConfig(f"{where} must be a mapping of keys to values, not {data!r}")
+    fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    hints = typing.get_type_hints(cls)
+    kwargs = {}
+    for key, value in data.items():
+        if key not in fields:
+            raise UnknownKey(key, sorted(fields), where)
+        kwargs[key] = _convert(hints[key], value, f"{where}.{key}")
+    return cls(**kwargs)
+
+
+def canonical_json(data: Any) -> str:
+    """Write plain data or a dataclass as JSON with one spelling: sorted keys, no spaces."""
+    return json.dumps(to_plain(data), sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def fingerprint(data: Any, length: int = 16) -> str:
+    """Hash the canonical JSON of `data`: hex digits, the first `length` of its sha256."""
+    return hashlib.sha256(canonical_json(data).encode()).hexdigest()[:length]
+
+
+def differing_keys(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> list[str]:
+    """Name the dotted keys whose values differ, with both values: `a.b: 1 -> 2`."""
+    found: list[str] = []
+    for key in sorted(set(old) | set(new)):
+        a, b = old.get(key), new.get(key)
+        if isinstance(a, Mapping) and isinstance(b, Mapping):
+            found += differing_keys(a, b, f"{prefix}{key}.")
+        elif a != b:
+            found.append(f"{prefix}{key}: {a!r} -> {b!r}")
+    return found
+
+
+def with_overrides(config: T, assignments: Sequence[str]) -> T:
+    """Apply `--set` assignments such as `regions.anchors=100` to a dataclass.
+
+    Values are read as YAML, so `true`, `0.5` and `[1, 2]` mean what they look like.
+
+    Raises:
+        BadConfig: An assignment has no `=` or a value does not fit.
+        UnknownKey: A key does not exist.
+    """
+    plain = to_plain(config)
+    for assignment in assignments:
+        key, sep, text = assignment.partition("=")
+        if not sep:
+            raise BadConfig(
+                f"--set {assignment!r}: write KEY=VALUE, for example regions.anchors=100"
+            )
+        _assign(plain, key.strip().split("."), _parse_yaml(text, f"--set {key}"), key)
+    return from_plain(type(config), plain)
+
+
+def load_yaml(path: str | Path) -> dict[str, Any]:
+    """Read a YAML file that holds one mapping.
+
+    Raises:
+        PathNotFound: The file does not exist.
+        BadConfig: It is not YAML, or not a mapping.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise PathNotFound(path, "a YAML file")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as err:
+        raise BadConfig(f"{path}: not a text file ({err.reason})") from err
+    data = _parse_yaml(text, str(path))
+    if not isinstance(data, dict):
+        raise BadConfig(f"{path}: expected a mapping of keys to values at the top")
+    return data
+
+
+def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Overlay nested plain data: mappings merge key by key, everything else is replaced."""
+    merged = dict(base)
+    for key, value in changes.items():
+        old = merged.get(key)
+        both = isinstance(old, Mapping) and isinstance(value, Mapping)
+        merged[key] = merge(old, value) if both else value  # type: ignore[arg-type]
+    return merged
+
+
+def _parse_yaml(text: str, where: str) -> Any:
+    import yaml
+
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError as err:
+        first = str(err).splitlines()[0]
+        raise BadConfig(f"{where}: not valid YAML ({first})") from err
+
+
+def _assign(plain: dict[str, Any], path: list[str], value: Any, whole: str) -> None:
+    for depth, part in enumerate(path[:-1]):
+        if not isinstance(plain.get(part), dict):
+            raise UnknownKey(part, sorted(plain), ".".join(path[:depth]) or "the configuration")
+        plain = plain[part]
+    if path[-1] not in plain:
+        raise UnknownKey(path[-1], sorted(plain), ".".join(path[:-1]) or "the configuration")
+    if isinstance(plain[path[-1]], dict) and not isinstance(value, dict):
+        raise BadConfig(f"{whole} is a group; set one of {', '.join(plain[path[-1]])}")
+    plain[path[-1]] = value
+
+
+def _convert(hint: Any, value: Any, where: str) -> Any:
+    origin, args = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        if value is None and type(None) in args:
+            return None
+        return _convert(next(a for a in args if a is not type(None)), value, where)
+    if dataclasses.is_dataclass(hint):
+        return from_plain(hint, value, where)  # type: ignore[arg-type]
+    if origin is tuple:
+        if not isinstance(value, (list, tuple)):
+            raise BadConfig(f"{where} must be a list, not {value!r}")
+        kinds = [args[0]] * len(value) if args[-1] is Ellipsis else list(args)
+        if len(kinds) != len(value):
+            raise BadConfig(f"{where} needs {len(kinds)} values, got {len(value)}")
+        return tuple(_convert(k, v, where) for k, v in zip(kinds, value, strict=True))
+    if origin is typing.Literal:
+        if value not in args:
+            raise BadConfig(f"{where} must be one of {', '.join(map(str, args))}, not {value!r}")
+        return value
+    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        return float(value)
+    if hint is float and isinstance(value, str):
+        return _float_of(value, where)
+    if hint in (int, bool, str) and type(value) is hint:
+        return value
+    if hint in (int, bool, str, float):
+        raise BadConfig(f"{where} must be {hint.__name__}, not {value!r}")
+    return value
+
+
+def _float_of(text: str, where: str) -> float:
+    # YAML reads 1e-3 (no dot) as text.
+    try:
+        return float(text)
+    except ValueError as err:
+        raise BadConfig(f"{where} must be float, not {text!r}") from err

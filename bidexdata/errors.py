@@ -1,0 +1,93 @@
+"""The errors a caller can act on; each writes its own message and knows its exit code.
+
+An expected failure of one grasp or one object is a `Status` in its row, not an exception. The
+classes here stop a whole command: a named thing that does not exist, files that contradict
+themselves, a run made with another configuration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+
+
+class BidexError(Exception):
+    """Base of all errors of this package: one sentence that says what, where and what to do."""
+
+    exit_code = 3
+
+
+class NotUsable(BidexError):
+    """A named path, hand, rig, protocol or preset does not exist or cannot be used."""
+
+    exit_code = 3
+
+
+class PathNotFound(NotUsable):
+    """A path that the caller named does not exist."""
+
+    def __init__(self, path: str | Path, wanted: str):
+        self.path = Path(path)
+        super().__init__(f"{path}: no such file or folder; expected {wanted}")
+
+
+class UnknownName(NotUsable):
+    """A name is not among the known ones (hands, protocols, presets ...)."""
+
+    def __init__(self, kind: str, name: str, known: Iterable[str], hint: str = ""):
+        self.kind, self.name, self.known = kind, name, tuple(known)
+        close = get_close_matches(name, self.known, n=1)
+        meant = f" (did you mean {close[0]!r}?)" if close else ""
+        listed = ", ".join(self.known) or "none"
+        tail = f"; {hint}" if hint else ""
+        super().__init__(f"no {kind} is called {name!r}{meant}; known: {listed}{tail}")
+
+
+class BadConfig(NotUsable):
+    """A configuration value or key is impossible."""
+
+
+class UnknownKey(BadConfig):
+    """A configuration names a key that does not exist."""
+
+    def __init__(self, key: str, known: Sequence[str], where: str):
+        self.key, self.known = key, tuple(known)
+        close = get_close_matches(key, self.known, n=1)
+        meant = f"did you mean {close[0]!r}?" if close else f"known keys: {', '.join(self.known)}"
+        super().__init__(f"{where} has no key {key!r}; {meant}")
+
+
+class MissingExtra(NotUsable):
+    """A package that an optional extra brings is not installed."""
+
+    def __init__(self, package: str, extra: str):
+        self.package, self.extra = package, extra
+        super().__init__(
+            f"this needs the package {package!r}; install it with: pip install 'bidexdata[{extra}]'"
+        )
+
+
+class Contradiction(BidexError):
+    """A release, library or shard contradicts its manifest or header (damage or tampering)."""
+
+    exit_code = 4
+
+
+class ConfigConflict(BidexError):
+    """A folder was made with another configuration than the one asked for."""
+
+    exit_code = 5
+
+    def __init__(self, folder: str | Path, differing: Sequence[str]):
+        self.folder, self.differing = Path(folder), tuple(differing)
+        super().__init__(
+            f"{folder} was made with another configuration; these keys differ: "
+            f"{'; '.join(self.differing)}. Use another --out, or the same settings as before"
+        )
+
+
+class NothingSucceeded(BidexError):
+    """The command finished, but not one object or grasp succeeded."""
+
+    exit_code = 6

@@ -1,0 +1,301 @@
+"""GraspBatch: N grasps as named arrays, with the header that gives their axes meaning.
+
+Stages append columns with `with_columns`; nothing is changed in place. Which columns exist, with
+which dtype and shape, is the field table's word alone.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bidexdata.errors import BidexError, Contradiction
+from bidexdata.record.fields import FIELDS, STAGES, Field
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+SCHEMA_VERSION = "1.0"
+_HEADER_KEY = b"bidexdata"
+
+
+class BadRecord(BidexError):
+    """A batch does not agree with the field table, its header or another batch."""
+
+    exit_code = 4
+
+
+@dataclass(frozen=True, slots=True)
+class HandHeader:
+    """What a reader must know of one hand to use its poses."""
+
+    name: str
+    side: str
+    spec_hash: str
+    """sha256 of the hand's spec and of every file it names."""
+    joint_names: tuple[str, ...]
+    """The order of `joints`, for this hand's row of the H axis."""
+    contact_names: tuple[str, ...]
+    root_body: str
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What holds for all rows of a batch."""
+
+    hands: tuple[HandHeader, ...]
+    fingerprints: Mapping[str, str] = field(default_factory=dict)
+    """Configuration fingerprint per stage, and that of the library."""
+    version: str = ""
+    """Version of the package that wrote the rows."""
+    counts: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    """Attempts per status label for each scene_id, rows that were not stored included."""
+    schema_version: str = SCHEMA_VERSION
+    extra: Mapping[str, Any] = field(default_factory=dict)
+    """Keys of newer minor versions, kept as read."""
+
+    def axis(self, letter: str) -> int:
+        """Length of the axis H, S, J or C, or the number that `letter` spells."""
+        if letter == "H":
+            return len(self.hands)
+        if letter == "S":
+            return len(STAGES)
+        if letter == "J":
+            return max((len(h.joint_names) for h in self.hands), default=0)
+        if letter == "C":
+            return max((len(h.contact_names) for h in self.hands), default=0)
+        return int(letter)
+
+    def shape(self, column: Field) -> tuple[int, ...]:
+        """The shape after N that a column has under this header."""
+        return tuple(self.axis(a) for a in column.axes)
+
+    def to_json(self) -> str:
+        """Canonical JSON of the header."""
+        data = asdict(self)
+        extra = data.pop("extra")
+        return json.dumps({**extra, **data}, sort_keys=True, separators=(",", ":"))
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> Header:
+        """Read a header; keys of newer minor versions are kept in `extra`.
+
+        Raises:
+            Contradiction: The text is not a header, or its major version is not ours.
+        """
+        try:
+            data = json.loads(text)
+            version = str(data["schema_version"])
+            if version.split(".", maxsplit=1)[0] != SCHEMA_VERSION.split(".", maxsplit=1)[0]:
+                raise Contradiction(
+                    f"this data has schema {version}, and this version reads {SCHEMA_VERSION}; "
+                    "upgrade bidexdata to read it"
+                )
+            names = ("fingerprints", "version", "counts", "schema_version")
+            known = {k: data[k] for k in names if k in data}
+            hands = tuple(
+                HandHeader(
+                    name=h["name"],
+                    side=h["side"],
+                    spec_hash=h["spec_hash"],
+                    joint_names=tuple(h["joint_names"]),
+                    contact_names=tuple(h["contact_names"]),
+                    root_body=h["root_body"],
+                )
+                for h in data["hands"]
+            )
+        except (ValueError, KeyError, TypeError) as err:
+            raise Contradiction(f"unreadable bidexdata header ({err})") from err
+        extra = {k: v for k, v in data.items() if k not in (*names, "hands")}
+        return cls(hands=hands, extra=extra, **known)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GraspBatch:
+    """N grasps: a header and columns of the field table, each with leading axis N.
+
+    Columns read as attributes (`batch.hand_pos`) or items (`batch["hand_pos"]`).
+    """
+
+    header: Header
+    columns: Mapping[str, np.ndarray]
+
+    def __post_init__(self) -> None:
+        checked = {name: _check(self.header, name, value) for name, value in self.columns.items()}
+        lengths = {name: len(value) for name, value in checked.items()}
+        if len(set(lengths.values())) > 1:
+            raise BadRecord(f"columns differ in length: {lengths}")
+        object.__setattr__(self, "columns", checked)
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values()))) if self.columns else 0
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        try:
+            return self.columns[name]
+        except KeyError:
+            have = ", ".join(self.columns)
+            raise KeyError(f"this batch has no column {name!r}; it has {have}") from None
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        if name in FIELDS:
+            try:
+                return self[name]
+            except KeyError as err:
+                raise AttributeError(str(err)) from None
+        raise AttributeError(name)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
+
+    def select(self, mask: np.ndarray | slice) -> GraspBatch:
+        """Keep the rows that a boolean mask, an index array or a slice names."""
+        return replace(self, columns={k: v[mask] for k, v in self.columns.items()})
+
+    def with_columns(self, **columns: np.ndarray) -> GraspBatch:
+        """Append columns.
+
+        Raises:
+            BadRecord: A column exists already, is unknown, or has the wrong dtype or shape.
+        """
+        again = sorted(set(columns) & set(self.columns))
+        if again:
+            raise BadRecord(f"columns are appended, never recomputed; already there: {again}")
+        return replace(self, columns={**self.columns, **columns})
+
+    @classmethod
+    def concat(cls, batches: Sequence[GraspBatch]) -> GraspBatch:
+        """Join batches of the same hands and columns, in order; counts are merged.
+
+        Raises:
+            BadRecord: Hands, configurations or columns differ, or there is nothing to join.
+        """
+        if not batches:
+            raise BadRecord("nothing to concatenate")
+        first = batches[0]
+        for other in batches[1:]:
+            if other.header.hands != first.header.hands:
+                raise BadRecord("batches of different hands cannot be joined")
+            if set(other.columns) != set(first.columns):
+                odd = sorted(set(other.columns) ^ set(first.columns))
+                raise BadRecord(f"batches have different columns: {odd}")
+        counts = {scene: c for b in batches for scene, c in b.header.counts.items()}
+        shared = {
+            k: v
+            for k, v in first.header.fingerprints.items()
+            if all(b.header.fingerprints.get(k) == v for b in batches)
+        }
+        header = replace(first.header, counts=counts, fingerprints=shared)
+        columns = {k: np.concatenate([b.columns[k] for b in batches]) for k in first.columns}
+        return cls(header, columns)
+
+    def to_arrow(self) -> pa.Table:
+        """Give an Arrow table: fixed-size lists, field metadata and the header in the schema."""
+        import pyarrow as pa
+
+        schema = arrow_schema(self.header, tuple(self.columns))
+        arrays = [_to_arrow_array(self.columns[f.name], f.type) for f in schema]
+        return pa.Table.from_arrays(arrays, schema=schema)
+
+    @classmethod
+    def from_arrow(cls, table: pa.Table) -> GraspBatch:
+        """Read what `to_arrow` wrote, bit for bit.
+
+        Raises:
+            Contradiction: The table has no header of ours.
+        """
+        text = (table.schema.metadata or {}).get(_HEADER_KEY)
+        if text is None:
+            raise Contradiction("this table has no bidexdata header")
+        header = Header.from_json(text)
+        names = [n for n in table.column_names if n in FIELDS]
+        columns = {n: _from_arrow_array(table.column(n), header, FIELDS[n]) for n in names}
+        return cls(header, columns)
+
+
+def arrow_schema(header: Header, names: Sequence[str]) -> pa.Schema:
+    """Arrow schema of columns in the order given, with unit, frame, shape and text per field."""
+    import pyarrow as pa
+
+    out = []
+    for name in names:
+        column = FIELDS[name]
+        kind = pa.string() if column.dtype == "string" else pa.type_for_alias(column.dtype)
+        size = int(np.prod(header.shape(column))) if column.axes else 0
+        if column.axes:
+            kind = pa.list_(pa.field("element", kind, nullable=False), size)
+        out.append(pa.field(name, kind, nullable=False, metadata=field_metadata(column)))
+    return pa.schema(out, metadata={_HEADER_KEY: header.to_json().encode()})
+
+
+def field_metadata(column: Field) -> dict[str, str]:
+    """Metadata of one column for Arrow, Parquet and HDF5 files."""
+    return {
+        "shape": column.shape,
+        "unit": column.unit,
+        "frame": column.frame,
+        "written_by": column.written_by,
+        "description": column.description,
+    }
+
+
+def fill_value(column: Field) -> Any:
+    """What stands for "no value": NaN, -1, False or the empty string."""
+    if column.dtype == "string":
+        return ""
+    if column.dtype == "bool":
+        return False
+    return np.nan if column.dtype == "float32" else -1
+
+
+def empty_columns(header: Header, names: Sequence[str], n: int) -> dict[str, np.ndarray]:
+    """Columns of n rows filled with `fill_value`, to be filled in by a stage."""
+    made = {}
+    for name in names:
+        column = FIELDS[name]
+        dtype = "<U1" if column.dtype == "string" else column.dtype
+        made[name] = np.full((n, *header.shape(column)), fill_value(column), dtype=dtype)
+    return made
+
+
+def _check(header: Header, name: str, value: np.ndarray) -> np.ndarray:
+    if name not in FIELDS:
+        raise BadRecord(f"{name!r} is not in the field table")
+    column = FIELDS[name]
+    value = np.asarray(value)
+    if column.dtype == "string":
+        fits = value.dtype.kind in "UO" or value.size == 0
+        value = value.astype(np.str_) if fits else value
+    else:
+        fits = value.dtype == np.dtype(column.dtype)
+    if not fits:
+        raise BadRecord(f"column {name!r} must be {column.dtype}, not {value.dtype}")
+    if value.shape[1:] != header.shape(column):
+        expected = f"(N, {', '.join(map(str, header.shape(column)))})"
+        raise BadRecord(f"column {name!r} must have shape {expected}, not {value.shape}")
+    return value
+
+
+def _to_arrow_array(value: np.ndarray, kind: pa.DataType) -> pa.Array:
+    import pyarrow as pa
+
+    if pa.types.is_fixed_size_list(kind):
+        flat = pa.array(np.ascontiguousarray(value).reshape(-1), type=kind.value_type)
+        return pa.FixedSizeListArray.from_arrays(flat, type=kind)
+    if pa.types.is_string(kind):
+        return pa.array(value.tolist(), type=kind)
+    return pa.array(np.ascontiguousarray(value), type=kind)
+
+
+def _from_arrow_array(chunked: pa.ChunkedArray, header: Header, column: Field) -> np.ndarray:
+    array = chunked.combine_chunks()
+    if column.dtype == "string":
+        return np.array(array.to_pylist(), dtype=np.str_)
+    if not column.axes:
+        return array.to_numpy(zero_copy_only=False)
+    flat = array.flatten().to_numpy(zero_copy_only=False)
+    return flat.reshape(len(array), *header.shape(column))

@@ -1,0 +1,115 @@
+"""The field table: every column of the record, stated once.
+
+Parquet and HDF5 metadata, the documentation's table, the card and the loader are generated from
+`FIELDS`. Axes after the leading N (grasps): H sides, S stages (0 pregrasp, 1 grasp, 2 squeeze),
+J joints, C contacts; J and C are padded (NaN, or -1 for indices).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+STAGES = ("pregrasp", "grasp", "squeeze")
+SIDES = ("left", "right")
+
+Dtype = Literal["string", "bool", "int8", "int16", "int32", "int64", "float32"]
+Table = Literal["grasps", "contacts", "verdicts", "arms"]
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One column of the record."""
+
+    name: str
+    dtype: Dtype
+    shape: str
+    """Axes after N, for example "H S 3"; empty for one value per grasp."""
+    unit: str
+    frame: str
+    written_by: str
+    """The stage that writes the column."""
+    table: Table
+    """The release table that holds the column."""
+    description: str
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The axes after N, as written in `shape`."""
+        return tuple(self.shape.split())
+
+
+def _f(
+    name: str, dtype: Dtype, shape: str, unit: str, frame: str, by: str, table: Table, text: str
+) -> Field:
+    return Field(name, dtype, shape, unit, frame, by, table, text)
+
+
+# fmt: off
+_ALL = (
+    # identity
+    _f("grasp_id", "string", "", "", "", "synth", "grasps", "16 hex digits: hash of run fingerprint, scene_id and attempt"),
+    _f("scene_id", "string", "", "", "", "synth", "grasps", "<object_id>/<size_mm>/float or .../table<k>"),
+    _f("object_id", "string", "", "", "", "synth", "grasps", "slug of the source's id and first 8 hex digits of the source file's sha256"),
+    _f("size_mm", "int32", "", "mm", "", "synth", "grasps", "bounding-box diagonal of the simulated solid in the object frame"),
+    _f("setting", "string", "", "", "", "synth", "grasps", "floating or tabletop"),
+    _f("object_pos", "float32", "3", "m", "world", "synth", "grasps", "origin of the object frame"),
+    _f("object_quat_wxyz", "float32", "4", "", "world", "synth", "grasps", "orientation of the object frame, unit, w >= 0"),
+    _f("sides", "int8", "H", "", "", "synth", "grasps", "side of each hand: 0 left, 1 right"),
+    _f("attempt", "int32", "", "", "", "synth", "grasps", "number of the attempt within its scene"),
+    _f("source_ref", "string", "", "", "", "import", "grasps", "file (and #row) an imported grasp came from; empty otherwise"),
+    # pose
+    _f("hand_pos", "float32", "H S 3", "m", "world", "synth", "grasps", "origin of the hand frame (root body) per stage"),
+    _f("hand_quat_wxyz", "float32", "H S 4", "", "world", "synth", "grasps", "orientation of the hand frame per stage, unit, w >= 0"),
+    _f("joints", "float32", "H S J", "rad", "", "synth", "grasps", "joint positions per stage, in the order of the header's joint_names"),
+    # synthesis
+    _f("region_id", "int16", "H", "", "", "synth", "grasps", "anchor number of the region each hand started at"),
+    _f("region_score", "float32", "", "", "", "synth", "grasps", "score of the region pair, larger is better (meaning set by regions.score)"),
+    _f("energy_qp", "float32", "", "", "", "synth", "grasps", "closure energy Q, summed over contact groups, unweighted (paper eq. 4)"),
+    _f("energy_distance", "float32", "", "m2", "", "synth", "grasps", "E_dis at the grasp, unweighted (paper, appendix B)"),
+    _f("energy_region", "float32", "", "m", "", "synth", "grasps", "E_region at the grasp, unweighted (paper, appendix B)"),
+    _f("energy_penetration", "float32", "", "m2", "", "synth", "grasps", "squared hand-object sphere depths at the grasp, unweighted"),
+    _f("energy_self", "float32", "", "m2", "", "synth", "grasps", "squared sphere overlaps within and between hands at the grasp, unweighted"),
+    _f("energy_pad", "float32", "", "", "", "synth", "grasps", "squared hinge of the angle between pads and surface at the grasp, unweighted"),
+    _f("qp_residual_hand", "float32", "H", "", "", "synth", "grasps", "zero-load QP residual of each hand alone"),
+    _f("qp_residual", "float32", "", "", "", "synth", "grasps", "zero-load QP residual of all contacts together, each hand pressing"),
+    _f("contact_index", "int16", "H C", "", "", "synth", "contacts", "number of the hand's contact point; -1 where a hand has fewer"),
+    _f("contact_point", "float32", "H C 3", "m", "object", "synth", "contacts", "object surface point closest to the contact point, at the grasp"),
+    _f("contact_normal", "float32", "H C 3", "", "object", "synth", "contacts", "outward unit surface normal there"),
+    _f("contact_force", "float32", "H C 3", "cap", "object", "synth", "contacts", "force on the object in the coupled zero-load QP, in units of the cap"),
+    _f("force_scale", "float32", "H", "N", "", "synth", "contacts", "newtons per unit of contact_force that the squeeze aims at"),
+    _f("steps", "int32", "", "", "", "synth", "grasps", "optimiser steps taken"),
+    _f("seed", "int64", "", "", "", "synth", "grasps", "seed of the task that made the attempt"),
+    _f("selected", "bool", "", "", "", "synth", "grasps", "one of the N best attempts of its scene"),
+    _f("audit", "bool", "", "", "", "synth", "grasps", "one of the N attempts drawn before any filter"),
+    _f("synth_status", "int8", "", "", "", "synth", "grasps", "Status of the attempt; poses are NaN where it has none"),
+    # verdicts, one set per protocol and test
+    _f("success", "bool", "", "", "", "validate", "verdicts", "the grasp passed the test"),
+    _f("verdict_status", "int8", "", "", "", "validate", "verdicts", "Status of the test: OK or the reason of the failure"),
+    _f("direction", "int8", "", "", "object", "validate", "verdicts", "first failing load direction: 0..5 = +x -x +y -y +z -z; -1 none"),
+    _f("drift_pos", "float32", "", "m", "world", "validate", "verdicts", "largest displacement of the object at a check"),
+    _f("drift_rot", "float32", "", "rad", "world", "validate", "verdicts", "largest rotation of the object at a check"),
+    _f("time", "float32", "", "s", "", "validate", "verdicts", "simulated time of the failure since the start of its phase; NaN on success"),
+    _f("load_margin", "float32", "", "", "", "validate", "verdicts", "largest multiple of the protocol's load that holds; NaN = not measured"),
+    _f("pd", "float32", "", "m", "", "validate", "verdicts", "deepest hand-object penetration at the grasp (paper, appendix D)"),
+    _f("spd", "float32", "", "m", "", "validate", "verdicts", "deepest penetration within and between hands at the grasp"),
+    _f("cdc", "float32", "", "m", "", "validate", "verdicts", "largest minus smallest signed finger-object distance at the grasp"),
+    _f("contact_number", "int16", "", "", "", "validate", "verdicts", "hand bodies within the protocol's contact distance of the object"),
+    _f("contact_distance", "float32", "", "m", "", "validate", "verdicts", "mean over fingers of the distance to the object"),
+)
+# fmt: on
+
+FIELDS: dict[str, Field] = {field.name: field for field in _ALL}
+
+IDENTITY = ("grasp_id", "scene_id", "object_id", "size_mm", "setting", "attempt")
+"""Columns that every shard and table repeats or can be joined on."""
+
+
+def columns_written_by(stage: str) -> tuple[str, ...]:
+    """Names of the columns that a stage writes, in table order."""
+    return tuple(f.name for f in _ALL if f.written_by == stage)
+
+
+def columns_of_table(table: str) -> tuple[str, ...]:
+    """Names of the columns that a release table holds, in table order."""
+    return tuple(f.name for f in _ALL if f.table == table)

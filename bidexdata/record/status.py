@@ -1,0 +1,86 @@
+"""One enum for everything that can become of an object, an attempt or a test.
+
+A status of one stage never overwrites that of another: `synth_status` and `verdict_status` are
+separate columns. Numbers are stored in files: never renumber, only append within a stage's block.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Status(IntEnum):
+    """What became of one object (1-19), attempt (20-49), arm solution (50-69) or test (70-99)."""
+
+    OK = 0
+
+    # prepare
+    UNREADABLE = 1
+    NO_FACES = 2
+    NOT_FINITE_MESH = 3
+    TOO_COMPLEX = 4
+    NO_VOLUME = 5
+    DECOMPOSITION_FAILED = 6
+    TIMED_OUT = 7
+    CRASHED = 8
+    DUPLICATE = 9
+    UNSUPPORTED = 10
+
+    # synth
+    NO_REGION_PAIR = 20
+    NO_PLACEMENT = 21
+    NOT_FINITE = 22
+    PENETRATION_LEFT = 23
+    CONTACT_LOST = 24
+    SELF_PENETRATION_LEFT = 25
+    TABLE_PENETRATION = 26
+    NOT_REACHABLE = 27
+
+    # validate
+    NOT_RUN = 70
+    START_PENETRATION = 71
+    NO_CONTACT = 72
+    THROWN = 73
+    SLIP = 74
+    TURNED = 75
+    UNSTABLE = 76
+
+    @property
+    def sentence(self) -> str:
+        """What happened, in words for a person."""
+        return _SENTENCES[self]
+
+    @property
+    def label(self) -> str:
+        """The lower-case name used in reports and `--json` keys."""
+        return self.name.lower()
+
+
+_SENTENCES = {
+    Status.OK: "everything succeeded",
+    Status.UNREADABLE: "the file could not be read as a mesh",
+    Status.NO_FACES: "the file holds no faces",
+    Status.NOT_FINITE_MESH: "vertices are not finite numbers or all lie in one point",
+    Status.TOO_COMPLEX: "the mesh needs more memory than the stated bound",
+    Status.NO_VOLUME: "no closed solid could be made of the mesh",
+    Status.DECOMPOSITION_FAILED: "no convex pieces could be made of the mesh",
+    Status.TIMED_OUT: "preparing took longer than the time limit; a re-run tries again",
+    Status.CRASHED: "the worker that prepared the object died",
+    Status.DUPLICATE: "another input file has the same bytes",
+    Status.UNSUPPORTED: "the file needs a feature or package that is not supported",
+    Status.NO_REGION_PAIR: "no two regions of the object are far enough apart and accessible",
+    Status.NO_PLACEMENT: "no hand pose clear of the object was found at the regions",
+    Status.NOT_FINITE: "the optimisation produced numbers that are not finite",
+    Status.PENETRATION_LEFT: "a hand still penetrates the object after the optimisation",
+    Status.CONTACT_LOST: "a contact point ended too far from the object's surface",
+    Status.SELF_PENETRATION_LEFT: "the hands penetrate themselves or each other",
+    Status.TABLE_PENETRATION: "a hand penetrates the table",
+    Status.NOT_REACHABLE: "no arm solution reaches the palm pose",
+    Status.NOT_RUN: "the test was not run because the attempt has no grasp",
+    Status.START_PENETRATION: "the pre-grasp penetrates deeper than the start check allows",
+    Status.NO_CONTACT: "no hand touched the object after closing",
+    Status.THROWN: "the object left the limits while the hands were closing",
+    Status.SLIP: "the object moved farther than the limit under load",
+    Status.TURNED: "the object turned farther than the limit under load",
+    Status.UNSTABLE: "the simulation became unstable",
+}
