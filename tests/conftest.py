@@ -1,0 +1,47 @@
+"""Fixtures and the run-time check of array annotations.
+
+Every module of the package but the kernels is imported under jaxtyping and beartype, so a wrong
+shape or dtype anywhere in a test fails there. Material beside the checkout (`../shared`) is
+optional: tests that need it skip and say so.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from jaxtyping import install_import_hook
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def _checked_modules() -> list[str]:
+    files = (ROOT / "bidexdata").rglob("*.py")
+    named = (f.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".") for f in files)
+    # beartype refuses Warp's kernel annotations at import.
+    return sorted(n for n in named if not n.endswith(("_kernels", "__init__")))
+
+
+install_import_hook(_checked_modules(), "beartype.beartype")
+
+SHARED = ROOT.parent / "shared"
+if (SHARED / "menagerie").is_dir():
+    os.environ.setdefault("MENAGERIE_ROOT", str(SHARED / "menagerie"))
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder with real meshes and peers' grasps."""
+    if not SHARED.is_dir():
+        pytest.skip("needs ../shared (real meshes, peers' grasps), which is not part of the project")
+    return SHARED
+
+
+@pytest.fixture(scope="session")
+def menagerie() -> Path:
+    """A local copy of MuJoCo Menagerie, named by MENAGERIE_ROOT."""
+    root = os.environ.get("MENAGERIE_ROOT")
+    if not root or not Path(root, "shadow_hand").is_dir():
+        pytest.skip("needs MENAGERIE_ROOT with shadow_hand (a local copy of MuJoCo Menagerie)")
+    return Path(root)
