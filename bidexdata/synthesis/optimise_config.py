@@ -1,0 +1,187 @@
+"""What the bilevel optimisation minimises and how: weights, closure, margins, steps.
+
+Sources: "paper" = BiDexGrasp with the section; "BODex" = its configuration files; "prototype" =
+our own measurement on 13 meshes x 3 sizes (facts/prototype.md, section 5 unless another is named).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from bidexdata.errors import BadConfig
+
+Groups = Literal["decoupled", "coupled", "mix"]
+Disturbances = Literal["forces", "zero"]
+
+
+def refuse_outside(owner: object, name: str, low: float, high: float) -> None:
+    """Raise `BadConfig` unless `owner.name` lies in [low, high]."""
+    value = getattr(owner, name)
+    if not low <= value <= high:
+        where = type(owner).__name__
+        raise BadConfig(f"{where}.{name} must lie between {low} and {high}, not {value!r}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClosureConfig:
+    """The lower level: which contacts must balance which wrenches with which forces."""
+
+    groups: Groups = "mix"
+    """`decoupled`: each hand its own closure (paper 4.3); `coupled`: all contacts of both hands
+    with each hand pressing; `mix`: both. Prototype 7: equal within noise, mix best by 1 point."""
+    weight_decoupled: float = 40.0
+    """Weight of the sum of both hands' Q [-]. Prototype 3.5: 10 -> 40 gained 1 point."""
+    weight_coupled: float = 40.0
+    """Weight of the coupled Q [-]. Prototype 3.5."""
+    disturbances: Disturbances = "forces"
+    """`forces`: six unit forces +-x, +-y, +-z (paper 3); `zero`: the zero wrench alone, which
+    halves the cost of a step at equal success (prototype 4)."""
+    friction: float = 0.3
+    """Friction coefficient of the cones [-]; half of the simulation's 0.6. Prototype 5: 0.1 / 0.3 /
+    0.6 give 88 / 86 / 85 %."""
+    beta: float = 0.2
+    """Scale of the disturbance wrenches in units of the cap [-]. BODex `k_lower`."""
+    gamma: float = 1.0
+    """Least sum of normal forces of each hand in units of the cap [-]. BODex, sum of five >= 1."""
+    cap: float = 1.0
+    """Largest normal force of one contact [-]. Paper, appendix A."""
+    torque_length: float = 0.5
+    """Length that makes torques comparable with forces, as a share of the object's longest side
+    [-]. Prototype; BODex uses half the diagonal."""
+    least_torque_length: float = 0.1
+    """Lower bound of that length [m]. Prototype."""
+    iterations: int = 4
+    """Projected-gradient iterations per optimiser step, warm started [-]. Prototype 5: within 0.1 %
+    (decoupled) and 5 % (coupled) of 2000 iterations after 80 steps."""
+    start_iterations: int = 40
+    """Iterations before the first step [-]. Prototype."""
+
+    def __post_init__(self) -> None:
+        for name in ("weight_decoupled", "weight_coupled", "beta", "gamma"):
+            refuse_outside(self, name, 0.0, 1e6)
+        refuse_outside(self, "friction", 1e-3, 10.0)
+        refuse_outside(self, "cap", 1e-6, 1e6)
+        refuse_outside(self, "torque_length", 0.0, 10.0)
+        refuse_outside(self, "least_torque_length", 1e-3, 10.0)
+        refuse_outside(self, "iterations", 1, 10_000)
+        refuse_outside(self, "start_iterations", 0, 100_000)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EnergyConfig:
+    """The upper level: weights and thresholds of the other energy terms."""
+
+    distance: float = 1000.0
+    """Weight of the squared contact distances, summed [1/m2]. Prototype; paper 5.2 has 100."""
+    region: float = 2.0
+    """Weight of E_region [1/m]. Prototype; paper 5.2 has 50."""
+    region_distance: Literal["anchor", "points"] = "anchor"
+    """Distance to the region: to its centre, or to the nearest of its points (paper 4.3)."""
+    region_threshold: float = 0.06
+    """Threshold a of phi [m]; b = 2 a. Prototype: hinge at 6 cm from the anchor. Not in the paper."""
+    penetration: float = 20_000.0
+    """Weight of squared hand-object sphere depths [1/m2]. Prototype 3.4."""
+    self_penetration: float = 2_000.0
+    """Weight of squared sphere overlaps within and between hands [1/m2]. Prototype."""
+    pad: float = 0.1
+    """Weight of the pad-angle hinge [-]. Prototype."""
+    pad_cosine: float = 0.75
+    """Least cosine between pad normal and inward surface normal that costs nothing. Prototype."""
+    object_margin: float = 0.001
+    """Spheres keep this far from the object [m]. Prototype."""
+    table_margin: float = 0.002
+    """Spheres keep this far from the table [m]. Ours, twice the object margin."""
+    self_margin: float = 0.002
+    """Spheres of one hand keep this far apart [m]. BODex, activation 2 mm; prototype."""
+    inter_margin: float = 0.005
+    """Spheres of different hands keep this far apart [m]. Prototype."""
+    normal_step: float = 0.008
+    """Half width of the differences that give surface normals and their change [m]. Prototype;
+    BODex draws 10 to 20 mm."""
+
+    def __post_init__(self) -> None:
+        for name in ("distance", "region", "penetration", "self_penetration", "pad"):
+            refuse_outside(self, name, 0.0, 1e9)
+        refuse_outside(self, "region_threshold", 1e-4, 10.0)
+        refuse_outside(self, "pad_cosine", -1.0, 1.0)
+        refuse_outside(self, "normal_step", 1e-4, 0.1)
+        for name in ("object_margin", "table_margin", "self_margin", "inter_margin"):
+            refuse_outside(self, name, 0.0, 0.1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhaseConfig:
+    """One of the three phases: how long, how far from the surface, how large the steps."""
+
+    steps: int
+    """Optimiser steps [-]."""
+    distance: float
+    """Distance of the pads from the surface that the phase aims at [m]."""
+    step_position: float
+    """First step length of the base translation [m]."""
+    step_rotation: float
+    """First step length of the base rotation [rad]."""
+    step_joints: float
+    """First step length of the joints [rad]."""
+
+    def __post_init__(self) -> None:
+        refuse_outside(self, "steps", 0, 100_000)
+        refuse_outside(self, "distance", 0.0, 0.1)
+        for name in ("step_position", "step_rotation", "step_joints"):
+            refuse_outside(self, name, 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AdamConfig:
+    """The step rule: Adam with one second moment per base part and per joint."""
+
+    beta1: float = 0.9
+    """Decay of the first moment [-]. Prototype."""
+    beta2: float = 0.95
+    """Decay of the second moment [-]. Prototype."""
+    final_fraction: float = 0.15
+    """Step length at a phase's last step over its first [-]; linear in between. Prototype."""
+
+    def __post_init__(self) -> None:
+        for name in ("beta1", "beta2"):
+            refuse_outside(self, name, 0.0, 0.9999)
+        refuse_outside(self, "final_fraction", 0.0, 1.0)
+
+
+def _approach() -> PhaseConfig:
+    return PhaseConfig(
+        steps=120, distance=0.010, step_position=0.002, step_rotation=0.02, step_joints=0.03
+    )
+
+
+def _pregrasp() -> PhaseConfig:
+    return PhaseConfig(
+        steps=30, distance=0.010, step_position=0.001, step_rotation=0.01, step_joints=0.015
+    )
+
+
+def _grasp() -> PhaseConfig:
+    return PhaseConfig(
+        steps=20, distance=0.0, step_position=0.0007, step_rotation=0.007, step_joints=0.015
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OptimiseConfig:
+    """Decoupled bilevel optimisation in three phases (paper 4.3, 4.4; prototype 5)."""
+
+    closure: ClosureConfig = field(default_factory=ClosureConfig)
+    energy: EnergyConfig = field(default_factory=EnergyConfig)
+    adam: AdamConfig = field(default_factory=AdamConfig)
+    approach: PhaseConfig = field(default_factory=_approach)
+    """Closure, distance, region: finds where to touch. Pads held 10 mm off (paper 4.4)."""
+    pregrasp: PhaseConfig = field(default_factory=_pregrasp)
+    """Contact points frozen; pads go to 10 mm above them. Ends in the pre-grasp."""
+    grasp: PhaseConfig = field(default_factory=_grasp)
+    """The same contact points; pads go to the surface. Ends in the grasp."""
+
+    @property
+    def steps(self) -> int:
+        """Optimiser steps of all phases."""
+        return self.approach.steps + self.pregrasp.steps + self.grasp.steps
