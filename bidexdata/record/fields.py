@@ -14,7 +14,7 @@ STAGES = ("pregrasp", "grasp", "squeeze")
 SIDES = ("left", "right")
 
 Dtype = Literal["string", "bool", "int8", "int16", "int32", "int64", "float32"]
-Table = Literal["grasps", "contacts", "verdicts", "arms"]
+Table = Literal["grasps", "contacts", "verdicts", "arms", "objects", "scenes", "runs"]
 
 
 @dataclass(frozen=True, slots=True)

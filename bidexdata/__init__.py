@@ -1,0 +1,58 @@
+"""Turn mesh files into published, verified, trainable datasets of two-handed dexterous grasps.
+
+The public names below are imported when they are first used, so that `import bidexdata` is light
+and reading a release needs none of the packages that make one.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+# Public name -> the module that defines it.
+_PUBLIC = {
+    "BiDexDataset": "bidexdata.loaders.dataset",
+    "GraspBatch": "bidexdata.record",
+    "Hand": "bidexdata.hands.model",
+    "HandModel": "bidexdata.hands.torch_layer",
+    "Library": "bidexdata.objects.library",
+    "Release": "bidexdata.formats.release",
+    "Run": "bidexdata.runs.run",
+    "load_hand": "bidexdata.hands",
+    "load_hands": "bidexdata.hands",
+    "load_protocol": "bidexdata.validation.protocols",
+    "prepare_object": "bidexdata.objects.prepare",
+    "synthesize": "bidexdata.synthesis.pipeline",
+    "validate_grasps": "bidexdata.validation.validate",
+    "verify_release": "bidexdata.formats.verify",
+}
+
+__all__ = ["__version__", *_PUBLIC]  # noqa: PLE0604  (names resolved by __getattr__)
+
+if TYPE_CHECKING:
+    from bidexdata.formats.release import Release as Release
+    from bidexdata.formats.verify import verify_release as verify_release
+    from bidexdata.hands import load_hand as load_hand
+    from bidexdata.hands import load_hands as load_hands
+    from bidexdata.hands.model import Hand as Hand
+    from bidexdata.hands.torch_layer import HandModel as HandModel
+    from bidexdata.loaders.dataset import BiDexDataset as BiDexDataset
+    from bidexdata.objects.library import Library as Library
+    from bidexdata.objects.prepare import prepare_object as prepare_object
+    from bidexdata.record import GraspBatch as GraspBatch
+    from bidexdata.runs.run import Run as Run
+    from bidexdata.synthesis.pipeline import synthesize as synthesize
+    from bidexdata.validation.protocols import load_protocol as load_protocol
+    from bidexdata.validation.validate import validate_grasps as validate_grasps
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'bidexdata' has no attribute {name!r}")
+    return getattr(import_module(_PUBLIC[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

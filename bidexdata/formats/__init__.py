@@ -1,0 +1,1 @@
+"""Releases on disk: written by `writer`, read by `release`, checked by `verify`."""

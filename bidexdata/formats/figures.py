@@ -1,0 +1,208 @@
+"""Figures of a set of grasps: counts, statuses, rates per size, means of the metrics.
+
+Definitions. N = grasps to keep per scene. *Unselected rate* = successes / N over the audit rows:
+every status other than OK is a failure, and a scene that could not fill its audit rows counts the
+missing ones as failures. *Selected rate* = successes / selected rows. *Kept share* = selected rows
+/ (N x scenes). Rates count only rows of runs that were tested. Metrics are means over selected
+rows where they were measured.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bidexdata.record import GraspBatch, Status
+from bidexdata.record.rates import Rate, clustered_interval
+
+METRIC_MEANS = ("pd", "spd", "cdc")
+
+
+class Tally:
+    """Add batches of any size, then read `figures()`.
+
+    State: counts per (test, size, object), statuses, sums of metrics; nothing per grasp.
+    """
+
+    def __init__(self, tests: tuple[str, ...] = ("f",)):
+        self.tests = tests
+        self._scenes: dict[tuple[str, str], tuple[str, int]] = {}
+        self._rows: Counter[str] = Counter()
+        self._attempts: Counter[str] = Counter()
+        self._verdicts: dict[str, Counter[str]] = {t: Counter() for t in tests}
+        # (kind, test, size) -> object -> [successes, trials]
+        self._trials: dict[tuple[str, str, int], dict[str, list[int]]] = defaultdict(dict)
+        self._kept: dict[int, list[int]] = defaultdict(lambda: [0, 0])
+        self._metrics: dict[tuple[str, int], list[float]] = defaultdict(lambda: [0.0, 0])
+
+    def add(
+        self,
+        batch: GraspBatch,
+        verdicts: Mapping[str, Mapping[str, np.ndarray]] | None = None,
+        *,
+        run: str = "",
+        grasps: int | None = None,
+    ) -> None:
+        """Count rows of whole scenes.
+
+        Args:
+            batch: Synth columns; all stored rows of every scene it touches, and the attempts of
+                all these scenes (also those without rows) in `header.counts`.
+            verdicts: Verdict columns per test of one protocol, row by row; a missing test was not
+                run on these rows.
+            run: Tells equal scenes of different runs apart.
+            grasps: N of the run; None for imported rows, which have no unselected rate.
+        """
+        verdicts = verdicts or {}
+        selected, audit = _flags(batch)
+        scenes = self._note_scenes(batch, run)
+        for size in set(scenes.values()):
+            in_size = batch["size_mm"] == size
+            number = sum(1 for s in scenes.values() if s == size)
+            if grasps is not None:
+                self._kept[size][0] += int((selected & in_size).sum())
+                self._kept[size][1] += grasps * number
+            for test in self.tests:
+                if test in verdicts:
+                    self._add_trials(batch, verdicts[test], test, size, scenes, grasps)
+        self._rows["stored"] += len(batch)
+        self._rows["selected"] += int(selected.sum())
+        self._rows["audit"] += int(audit.sum())
+        for counts in batch.header.counts.values():
+            self._attempts.update({k: int(v) for k, v in counts.items()})
+        for test in self.tests:
+            if test in verdicts:
+                self._verdicts[test].update(_labels(verdicts[test]["verdict_status"]))
+        measured = next((verdicts[t] for t in self.tests if t in verdicts), None)
+        if measured is not None:
+            self._add_metrics(batch["size_mm"], selected, measured)
+
+    def figures(self) -> dict[str, Any]:
+        """Plain data for cards, manifests and `--json`; keys are documented in docs/format.md."""
+        sizes = sorted({size for _, size in self._scenes.values()})
+        first = self.tests[0]
+        out: dict[str, Any] = {
+            "objects": len({o for o, _ in self._scenes.values()}),
+            "scenes": len(self._scenes),
+            "n": self._rows["stored"],
+            "selected_rows": self._rows["selected"],
+            "audit_rows": self._rows["audit"],
+            "by_status": dict(sorted(self._attempts.items())),
+            "by_verdict": dict(sorted(self._verdicts[first].items())),
+            "kept": _kept(self._kept.values()),
+            **self._means(sizes),
+            "by_size": {},
+            "tests": {},
+        }
+        for test in self.tests:
+            selected = self._rate("selected", test, sizes)
+            unselected = self._rate("unselected", test, sizes)
+            out[f"suc_{test}"] = selected.to_dict()["rate"]
+            out["tests"][test] = {
+                "selected": selected.to_dict(),
+                "unselected": unselected.to_dict(),
+                "by_verdict": dict(sorted(self._verdicts[test].items())),
+            }
+        for size in sizes:
+            out["by_size"][str(size)] = {
+                "kept": _kept([self._kept[size]]),
+                **self._means([size]),
+                **{
+                    f"{kind}_{test}": self._rate(kind, test, [size]).to_dict()
+                    for test in self.tests
+                    for kind in ("selected", "unselected")
+                },
+            }
+        return out
+
+    def _note_scenes(self, batch: GraspBatch, run: str) -> dict[str, int]:
+        scenes = {scene: _size_of(scene) for scene in batch.header.counts}
+        scenes |= {str(s): _size_of(str(s)) for s in np.unique(batch["scene_id"])}
+        for scene, size in scenes.items():
+            if (run, scene) in self._scenes:
+                raise ValueError(f"scene {scene} of run {run!r} was added twice")
+            self._scenes[(run, scene)] = (scene.rsplit("/", 2)[0], size)
+        return scenes
+
+    def _add_trials(
+        self,
+        batch: GraspBatch,
+        verdict: Mapping[str, np.ndarray],
+        test: str,
+        size: int,
+        scenes: Mapping[str, int],
+        grasps: int | None,
+    ) -> None:
+        selected, audit = _flags(batch)
+        passed = verdict["success"] & (batch["synth_status"] == Status.OK)
+        in_size = batch["size_mm"] == size
+        for obj in {s.rsplit("/", 2)[0] for s, mm in scenes.items() if mm == size}:
+            mine = in_size & (batch["object_id"] == obj)
+            kept = mine & selected
+            self._count("selected", test, size, obj, (passed & kept).sum(), kept.sum())
+            if grasps is not None:
+                number = sum(1 for s in scenes if s.startswith(f"{obj}/{size}/"))
+                drawn = audit & mine
+                trials = max(grasps * number, int(drawn.sum()))
+                self._count("unselected", test, size, obj, (passed & drawn).sum(), trials)
+
+    def _count(self, kind: str, test: str, size: int, obj: str, k: int, n: int) -> None:
+        pair = self._trials[(kind, test, size)].setdefault(obj, [0, 0])
+        pair[0] += int(k)
+        pair[1] += int(n)
+
+    def _add_metrics(
+        self, size_mm: np.ndarray, selected: np.ndarray, measured: Mapping[str, np.ndarray]
+    ) -> None:
+        for name in METRIC_MEANS:
+            value = measured[name].astype(np.float64)
+            use = selected & np.isfinite(value)
+            for size in np.unique(size_mm[use]):
+                here = value[use & (size_mm == size)]
+                pair = self._metrics[(name, int(size))]
+                pair[0] += float(here.sum())
+                pair[1] += len(here)
+
+    def _means(self, sizes: list[int]) -> dict[str, float | None]:
+        out: dict[str, float | None] = {}
+        for name in METRIC_MEANS:
+            pairs = [self._metrics[(name, s)] for s in sizes]
+            n = sum(p[1] for p in pairs)
+            out[name] = sum(p[0] for p in pairs) / n if n else None
+        return out
+
+    def _rate(self, kind: str, test: str, sizes: list[int]) -> Rate:
+        objects: dict[str, list[int]] = {}
+        for size in sizes:
+            for obj, (k, n) in self._trials[(kind, test, size)].items():
+                pair = objects.setdefault(obj, [0, 0])
+                pair[0] += k
+                pair[1] += n
+        pairs = [objects[o] for o in sorted(objects)]
+        return clustered_interval([p[0] for p in pairs], [p[1] for p in pairs])
+
+
+def _flags(batch: GraspBatch) -> tuple[np.ndarray, np.ndarray]:
+    # Imported rows carry neither flag: they are all selected, none is an audit row.
+    n = len(batch)
+    selected = batch["selected"] if "selected" in batch else np.ones(n, bool)
+    audit = batch["audit"] if "audit" in batch else np.zeros(n, bool)
+    return selected, audit
+
+
+def _size_of(scene_id: str) -> int:
+    return int(scene_id.rsplit("/", 2)[1])
+
+
+def _labels(statuses: np.ndarray) -> Counter[str]:
+    numbers, counts = np.unique(statuses, return_counts=True)
+    return Counter({Status(int(s)).label: int(c) for s, c in zip(numbers, counts, strict=True)})
+
+
+def _kept(pairs: Any) -> float | None:
+    pairs = list(pairs)
+    wanted = sum(p[1] for p in pairs)
+    return sum(p[0] for p in pairs) / wanted if wanted else None

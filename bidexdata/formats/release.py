@@ -1,0 +1,282 @@
+"""Release: read a release folder as batches, tables, solids and clouds.
+
+Opening reads the manifest only. Rows are read row group by row group with page checksums
+verified; `verify.verify_release` is what checks every byte.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bidexdata.errors import Contradiction, PathNotFound, UnknownName
+from bidexdata.formats import parquet
+from bidexdata.formats.clouds import CLOUDS, open_cloud
+from bidexdata.formats.manifest import MANIFEST, read_manifest
+from bidexdata.formats.rows import ReleaseRows as ReleaseRows
+from bidexdata.formats.rows import RunInfo as RunInfo
+from bidexdata.formats.rows import TestKey
+from bidexdata.formats.tables import CONFIGURATIONS, GRASP_COLUMNS, VERDICT_COLUMNS
+from bidexdata.formats.writer import ReleaseSummary as ReleaseSummary
+from bidexdata.formats.writer import write_release as write_release
+from bidexdata.record import GraspBatch, HandHeader, Header
+from bidexdata.record.fields import columns_of_table
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from bidexdata.objects.prepared import Solid
+
+_KEYS = {"name", "version", "figures", "default_protocol", "tests", "configurations", "splits"}
+
+
+@dataclass(frozen=True)
+class Release:
+    """A release folder, opened; make it with `Release.open`."""
+
+    path: Path
+    manifest: Mapping[str, Any]
+    header: Header
+    """Hands and versions, the same for all rows."""
+
+    @classmethod
+    def open(cls, path: str | Path) -> Release:
+        """Open a release after checking its manifest and schema version.
+
+        Raises:
+            PathNotFound: There is no release at `path`.
+            Contradiction: The manifest is damaged, or the schema is newer than this package.
+        """
+        path = Path(path)
+        if not path.is_dir() or not (path / MANIFEST).exists():
+            raise PathNotFound(
+                path / MANIFEST, "the manifest of a release (made by `bidexdata pack`)"
+            )
+        manifest = read_manifest(path)
+        try:
+            header = Header.from_json(manifest["header"])
+            missing = sorted(_KEYS - set(manifest))
+        except (KeyError, TypeError) as err:
+            raise Contradiction(f"{path / MANIFEST}: incomplete manifest ({err!r})") from err
+        if missing:
+            raise Contradiction(f"{path / MANIFEST}: incomplete manifest, {missing[0]} is missing")
+        return cls(path, manifest, header)
+
+    @property
+    def name(self) -> str:
+        """Name of the data set."""
+        return self.manifest["name"]
+
+    @property
+    def version(self) -> str:
+        """The data set's own version, X.Y.Z."""
+        return self.manifest["version"]
+
+    @property
+    def hands(self) -> tuple[HandHeader, ...]:
+        """The H axis."""
+        return self.header.hands
+
+    @property
+    def default_protocol(self) -> str:
+        """Protocol of `suc_f`, `suc_l`, `suc_a` and of the metrics."""
+        return self.manifest["default_protocol"]
+
+    @property
+    def protocols(self) -> tuple[TestKey, ...]:
+        """The (protocol, test) pairs that have a verdict table."""
+        return tuple((p, t) for p, t in self.manifest["tests"])
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """Counts, rates and means as the card states them."""
+        return self.manifest["figures"]
+
+    @property
+    def configurations(self) -> tuple[str, ...]:
+        """`selected` (default) and `audit`."""
+        return tuple(self.manifest["configurations"])
+
+    @cached_property
+    def objects(self) -> pa.Table:
+        """The objects table."""
+        return parquet.read_table(self.path / "objects.parquet")
+
+    @cached_property
+    def scenes(self) -> pa.Table:
+        """The scenes table."""
+        return parquet.read_table(self.path / "scenes.parquet")
+
+    @cached_property
+    def runs(self) -> pa.Table:
+        """The runs table."""
+        return parquet.read_table(self.path / "runs.parquet")
+
+    @cached_property
+    def object_ids(self) -> tuple[str, ...]:
+        """All objects, sorted; their order is that of the clouds."""
+        return tuple(self.objects.column("object_id").to_pylist())
+
+    @cached_property
+    def splits(self) -> dict[str, tuple[str, ...]]:
+        """Objects of each split."""
+        found: dict[str, list[str]] = {name: [] for name in self.manifest["splits"]}
+        names = self.objects.column("split").to_pylist()
+        for object_id, split in zip(self.object_ids, names, strict=True):
+            found[split].append(object_id)
+        return {k: tuple(v) for k, v in found.items()}
+
+    def load_solid(self, object_id: str) -> Solid:
+        """Read the solid of one object.
+
+        Raises:
+            UnknownName: The release has no such object.
+        """
+        from bidexdata.objects.library import object_folder, read_solid
+
+        self._check_object(object_id)
+        return read_solid(self.path / object_folder(object_id))
+
+    def cloud(self, kind: str = "cloud_solid", object_id: str | None = None) -> NDArray[np.float32]:
+        """Point clouds at unit diagonal: all (K, P, 3), mapped, or one object's (P, 3).
+
+        Raises:
+            UnknownName: No such kind or object.
+        """
+        if kind not in CLOUDS:
+            raise UnknownName("cloud", kind, CLOUDS)
+        every = open_cloud(self.path / "clouds" / f"{kind}.npy")
+        if object_id is None:
+            return every
+        self._check_object(object_id)
+        return np.asarray(every[self.object_ids.index(object_id)])
+
+    def table_files(self, table: str, configuration: str, split: str | None = None) -> list[Path]:
+        """Parquet files of a row table in reading order: splits as in the manifest, then parts.
+
+        Args:
+            table: `grasps`, `contacts` or `verdicts/<protocol>-<test>`.
+            configuration: `selected` or `audit`.
+            split: One split; all when omitted.
+        """
+        if configuration not in CONFIGURATIONS:
+            raise UnknownName("configuration", configuration, CONFIGURATIONS)
+        splits = tuple(self.manifest["splits"])
+        if split is not None and split not in splits:
+            raise UnknownName("split", split, splits)
+        first, _, rest = table.partition("/")
+        suffix = "" if configuration == "selected" else f"_{configuration}"
+        folder = self.path / f"{first}{suffix}" / rest
+        chosen = (split,) if split is not None else splits
+        return [p for name in chosen for p in sorted(folder.glob(f"{name}-*.parquet"))]
+
+    def index(
+        self,
+        configuration: str = "selected",
+        split: str | None = None,
+        columns: Sequence[str] | None = None,
+    ) -> pa.Table:
+        """Scalar columns of the grasps table: ids, sizes, flags, energies, `suc_*`, metrics."""
+        import pyarrow as pa
+
+        files = self.table_files("grasps", configuration, split)
+        schema = parquet.read_schema(files[0])
+        scalar = [f.name for f in schema if not pa.types.is_fixed_size_list(f.type)]
+        for name in columns or ():
+            if name not in scalar:
+                raise UnknownName("scalar column", name, scalar)
+        names = list(columns) if columns is not None else scalar
+        return pa.concat_tables([parquet.read_table(file, names) for file in files])
+
+    def grasps(
+        self,
+        object_id: str | None = None,
+        size_mm: int | None = None,
+        split: str | None = None,
+        configuration: str = "selected",
+        protocol: str | None = None,
+        test: str = "f",
+    ) -> GraspBatch:
+        """Read grasps with their contacts and, where there are some, the verdicts of one test.
+
+        Args:
+            object_id: One object; all when omitted.
+            size_mm: One size; all when omitted.
+            split: One split; all when omitted.
+            configuration: `selected` or `audit`.
+            protocol: Protocol of the verdict columns; the release's default when omitted.
+            test: `f`, `l` or `a`.
+
+        Returns:
+            Rows in stored order. Rows that were not tested have `verdict_status` NOT_RUN.
+        """
+        if object_id is not None:
+            self._check_object(object_id)
+        parts = [
+            batch
+            for batch in self.batches(configuration, split, protocol, test, object_id=object_id)
+            if len(batch)
+        ]
+        if size_mm is not None:
+            parts = [b.select(b["size_mm"] == size_mm) for b in parts]
+        if parts:
+            return GraspBatch.concat(parts)
+        empty = next(self.batches(configuration, split, protocol, test))
+        return empty.select(slice(0, 0))
+
+    def batches(
+        self,
+        configuration: str = "selected",
+        split: str | None = None,
+        protocol: str | None = None,
+        test: str = "f",
+        *,
+        object_id: str | None = None,
+    ) -> Iterator[GraspBatch]:
+        """Yield what `grasps` gives, one row group at a time; at least one batch per file read."""
+        key = (protocol or self.default_protocol, test)
+        tables = ["grasps", "contacts"]
+        if key in self.protocols:
+            tables.append("verdicts/" + "-".join(key))
+        columns = [*GRASP_COLUMNS]
+        for files in zip(*(self.table_files(t, configuration, split) for t in tables), strict=True):
+            groups = None
+            if object_id is not None:
+                groups = parquet.groups_with(files[0], "object_id", object_id, object_id)
+            wanted = [columns, None, None][: len(files)]
+            streams = [
+                parquet.read_groups(f, c, groups) for f, c in zip(files, wanted, strict=True)
+            ]
+            for parts in zip(*streams, strict=True):
+                batch = self._join(files, parts)
+                if object_id is not None:
+                    batch = batch.select(batch["object_id"] == object_id)
+                yield batch
+
+    def _join(self, files: Sequence[Path], parts: Sequence[pa.Table]) -> GraspBatch:
+        import pyarrow as pa
+
+        batch = GraspBatch.from_arrow(parts[0])
+        ids = parts[0].column("grasp_id")
+        for file, part in zip(files[1:], parts[1:], strict=True):
+            if not part.column("grasp_id").equals(ids):
+                raise Contradiction(f"{file}: rows are not those of {files[0]}")
+        contacts = GraspBatch.from_arrow(parts[1])
+        more = {n: contacts[n] for n in columns_of_table("contacts")}
+        if len(parts) > 2:
+            at = parts[2].schema.get_field_index("success")
+            success = parts[2].column("success").fill_null(False)
+            verdict = parts[2].set_column(at, pa.field("success", pa.bool_()), success)
+            judged = GraspBatch.from_arrow(verdict)
+            more |= {n: judged[n] for n in VERDICT_COLUMNS}
+        return batch.with_columns(**more)
+
+    def _check_object(self, object_id: str) -> None:
+        if object_id not in self.object_ids:
+            raise UnknownName("object", object_id, self.object_ids)

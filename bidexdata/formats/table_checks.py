@@ -1,0 +1,151 @@
+"""Laws between the tables of a release: schemas, row counts, splits, hands, rates, shapes.
+
+Each function returns what it counted, or raises `Contradiction` with what is wrong.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from bidexdata.errors import Contradiction
+from bidexdata.formats import parquet, tables
+from bidexdata.formats.clouds import CLOUDS
+from bidexdata.formats.hand_files import hand_folder, header_of
+from bidexdata.formats.object_table import shape_hash
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from bidexdata.formats.release import Release
+
+
+def row_tables(release: Release) -> str:
+    """Check schemas, the alignment of the row tables, and the row counts of manifest and scenes."""
+    header = release.header
+    expected = {
+        "grasps": tables.grasps_schema(header),
+        "contacts": tables.contacts_schema(header),
+        **{f"verdicts/{p}-{t}": tables.verdicts_schema(header) for p, t in release.protocols},
+    }
+    counts = {}
+    for configuration in release.configurations:
+        aligned = None
+        for table, schema in expected.items():
+            files = release.table_files(table, configuration)
+            for file in files:
+                _same_schema(parquet.read_schema(file), schema, str(file))
+            groups = [(file.name, parquet.row_counts(file)) for file in files]
+            if aligned not in (None, groups):
+                raise Contradiction(f"{table} ({configuration}) has other rows than grasps")
+            aligned = groups
+        counts[configuration] = sum(sum(rows) for _, rows in aligned or [])
+        stated = release.figures[f"{configuration}_rows"]
+        column = release.scenes.column(f"{configuration}_rows").to_numpy()
+        if not counts[configuration] == stated == column.sum():
+            raise Contradiction(
+                f"configuration {configuration}: {counts[configuration]} rows in files, {stated} "
+                f"in the manifest, {column.sum()} in scenes.parquet"
+            )
+    for name, fields in (
+        ("objects", tables.OBJECT_FIELDS),
+        ("scenes", tables.SCENE_FIELDS),
+        ("runs", tables.RUN_FIELDS),
+    ):
+        file = release.path / f"{name}.parquet"
+        _same_schema(parquet.read_schema(file), tables.plain_schema(fields), str(file))
+    for kind in CLOUDS:
+        if len(release.cloud(kind)) != len(release.object_ids):
+            raise Contradiction(f"{kind}.npy has another number of objects than objects.parquet")
+    return ", ".join(f"{n} rows in {c}" for c, n in counts.items())
+
+
+def splits(release: Release) -> str:
+    """Check that objects, shapes and rows lie in one split each, and that rows are where they say."""
+    shapes: dict[str, set[str]] = {}
+    rows = release.objects.select(["object_id", "split", "shape_sha256"]).to_pylist()
+    if len({r["object_id"] for r in rows}) != len(rows):
+        raise Contradiction("objects.parquet names an object twice")
+    for row in rows:
+        shapes.setdefault(row["shape_sha256"], set()).add(row["split"])
+    shared = [shape for shape, where in shapes.items() if len(where) > 1]
+    if shared:
+        raise Contradiction(f"{len(shared)} shapes are in two splits, first {shared[0][:12]}")
+    for split, ids in release.splits.items():
+        for configuration in release.configurations:
+            found = release.index(configuration, split, ["object_id"]).column("object_id")
+            strangers = set(found.unique().to_pylist()) - set(ids)
+            if strangers:
+                raise Contradiction(f"split {split} holds rows of {sorted(strangers)[0]}")
+    return ", ".join(f"{len(ids)} objects in {split}" for split, ids in release.splits.items())
+
+
+def hands(release: Release) -> str:
+    """Check that the kinematic trees are those of the header."""
+    for hand in release.hands:
+        tree = read_tree(release, hand.name, hand.side)
+        if header_of(tree) != hand:
+            raise Contradiction(f"hands/{hand.name}/{hand.side}/tree.json is another hand")
+    return ", ".join(f"{h.name} {h.side}" for h in release.hands)
+
+
+def rates(release: Release) -> str:
+    """Count successes again and compare them with the manifest's figures."""
+    runs = release.runs.select(["run", "grasps"]).to_pylist()
+    # Imported runs have no number of grasps to keep, and so no unselected rate.
+    counted = {
+        "selected": {r["run"] for r in runs},
+        "unselected": {r["run"] for r in runs if r["grasps"] >= 0},
+    }
+    for test, stated in release.figures["tests"].items():
+        if (release.default_protocol, test) not in release.protocols:
+            continue
+        for configuration, kind in (("selected", "selected"), ("audit", "unselected")):
+            rows = release.index(configuration, columns=[f"suc_{test}", "run"]).to_pylist()
+            k = sum(bool(r[f"suc_{test}"]) for r in rows if r["run"] in counted[kind])
+            if k != stated[kind]["k"]:
+                raise Contradiction(
+                    f"{k} {configuration} rows pass test {test}, the manifest says "
+                    f"{stated[kind]['k']}"
+                )
+    return "successes per configuration are those of the manifest"
+
+
+def shapes(release: Release) -> str:
+    """Hash the geometry of every object again."""
+    stated = dict(
+        zip(
+            release.object_ids,
+            release.objects.column("shape_sha256").to_pylist(),
+            strict=True,
+        )
+    )
+    for object_id, shape in stated.items():
+        if shape_hash(release.load_solid(object_id)) != shape:
+            raise Contradiction(f"the geometry of {object_id} does not have its stated hash")
+    return f"geometry of {len(stated)} objects hashed again"
+
+
+def read_tree(release: Release, name: str, side: str) -> dict[str, Any]:
+    """Read `tree.json` of one hand.
+
+    Raises:
+        Contradiction: The file is missing or unreadable.
+    """
+    path = release.path / hand_folder(name, side) / "tree.json"
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as err:
+        raise Contradiction(f"{path}: unreadable hand ({err})") from err
+
+
+def _same_schema(found: pa.Schema, expected: pa.Schema, where: str) -> None:
+    # A newer minor version may append columns; what we know must be there as we know it.
+    for field in expected:
+        at = found.get_field_index(field.name)
+        if at < 0:
+            raise Contradiction(f"{where}: column {field.name} is missing")
+        if found.field(at).type != field.type:
+            raise Contradiction(
+                f"{where}: {field.name} is {found.field(at).type}, not {field.type}"
+            )

@@ -1,0 +1,126 @@
+"""Columns that only a release has, and the tables that a release consists of.
+
+The record's own columns are in `record.fields`; a release adds `run` and the verdict booleans to
+the grasps table, and has the tables objects, scenes and runs. Documentation and file metadata are
+generated from both lists.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bidexdata.record import FIELDS, Field, Header
+from bidexdata.record.batch import arrow_schema, field_metadata
+from bidexdata.record.fields import columns_of_table, columns_written_by
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+TESTS = ("f", "l", "a")
+METRICS = ("pd", "spd", "cdc", "contact_number", "contact_distance")
+"""Metrics of the default protocol, repeated in the grasps table from its verdict table."""
+CONFIGURATIONS = ("selected", "audit")
+SORTED_BY = ("object_id", "size_mm", "scene_id", "grasp_id")
+"""Order of the rows in the grasps, contacts and verdict tables."""
+
+
+# fmt: off
+GRASP_EXTRAS = (
+    Field("run", "string", "", "", "", "pack", "grasps", "name of the run in runs.parquet"),
+    Field("suc_f", "bool", "", "", "", "pack", "grasps", "passed test f (force closure) of the default protocol; null = not tested"),
+    Field("suc_l", "bool", "", "", "", "pack", "grasps", "passed test l (lift) of the default protocol; null = not tested"),
+    Field("suc_a", "bool", "", "", "", "pack", "grasps", "passed test a (lift with arms) of the default protocol; null = not tested"),
+)
+
+OBJECT_FIELDS = (
+    Field("object_id", "string", "", "", "", "pack", "objects", "identity; folder objects/<last 2 hex digits>/<object_id>"),
+    Field("cloud_index", "int32", "", "", "", "pack", "objects", "row of the object in clouds/*.npy"),
+    Field("split", "string", "", "", "", "pack", "objects", "train or test"),
+    Field("source", "string", "", "", "", "prepare", "objects", "collection that the mesh comes from"),
+    Field("source_name", "string", "", "", "", "prepare", "objects", "name of the source file"),
+    Field("source_sha256", "string", "", "", "", "prepare", "objects", "sha256 of the source file"),
+    Field("shape_sha256", "string", "", "", "", "pack", "objects", "sha256 of the repaired mesh's and the pieces' arrays; no shape is in two splits"),
+    Field("licence", "string", "", "", "", "prepare", "objects", "SPDX identifier of the mesh's licence; empty = unknown"),
+    Field("author", "string", "", "", "", "prepare", "objects", "author of the mesh"),
+    Field("category", "string", "", "", "", "prepare", "objects", "category given by the source"),
+    Field("pieces", "int32", "", "", "", "pack", "objects", "number of convex pieces"),
+    Field("volume", "float32", "", "", "object", "pack", "objects", "volume of the solid at unit diagonal"),
+    Field("rest_poses", "int32", "", "", "", "pack", "objects", "number of rest poses on a table"),
+)
+
+SCENE_FIELDS = (
+    Field("scene_id", "string", "", "", "", "synth", "scenes", "<object_id>/<size_mm>/float or .../table<k>"),
+    Field("object_id", "string", "", "", "", "synth", "scenes", "object of the scene"),
+    Field("size_mm", "int32", "", "mm", "", "synth", "scenes", "bounding-box diagonal of the simulated solid"),
+    Field("setting", "string", "", "", "", "synth", "scenes", "floating or tabletop"),
+    Field("split", "string", "", "", "", "pack", "scenes", "split of the object"),
+    Field("runs", "int32", "", "", "", "pack", "scenes", "number of runs that worked on the scene"),
+    Field("grasps_wanted", "int32", "", "", "", "pack", "scenes", "grasps to keep (N), summed over the runs; 0 where all rows are imported"),
+    Field("selected_rows", "int32", "", "", "", "pack", "scenes", "rows in the configuration selected"),
+    Field("audit_rows", "int32", "", "", "", "pack", "scenes", "rows in the configuration audit"),
+    Field("attempts", "string", "", "", "", "synth", "scenes", "JSON: attempts per status label, rows that were not stored included"),
+)
+
+RUN_FIELDS = (
+    Field("run", "string", "", "", "", "pack", "runs", "name of the run within the release"),
+    Field("fingerprint", "string", "", "", "", "synth", "runs", "fingerprint of the run's configuration"),
+    Field("library_fingerprint", "string", "", "", "", "prepare", "runs", "fingerprint of the object library"),
+    Field("grasps", "int32", "", "", "", "synth", "runs", "grasps kept per scene (N); -1 = imported, no unselected rate"),
+    Field("candidates", "int32", "", "", "", "synth", "runs", "attempts per scene (M); -1 = unknown"),
+    Field("seed", "int64", "", "", "", "synth", "runs", "seed of the run"),
+    Field("preset", "string", "", "", "", "synth", "runs", "preset that the configuration started from"),
+    Field("setting", "string", "", "", "", "synth", "runs", "floating or tabletop"),
+    Field("generator_version", "string", "", "", "", "synth", "runs", "version of bidexdata that made the run"),
+    Field("config", "string", "", "", "", "synth", "runs", "canonical JSON of the whole configuration"),
+)
+# fmt: on
+
+NULLABLE = tuple(f"suc_{test}" for test in TESTS)
+
+GRASP_COLUMNS = columns_of_table("grasps")
+CONTACT_COLUMNS = columns_of_table("contacts")
+VERDICT_COLUMNS = columns_written_by("validate")
+
+
+def grasps_schema(header: Header) -> pa.Schema:
+    """Schema of the grasps table: the record's columns, the run, verdicts and metrics."""
+    import pyarrow as pa
+
+    schema = arrow_schema(header, GRASP_COLUMNS)
+    for extra in GRASP_EXTRAS:
+        schema = schema.append(_arrow_field(extra))
+    metrics = arrow_schema(header, METRICS)
+    return pa.schema([*schema, *metrics], metadata=schema.metadata)
+
+
+def contacts_schema(header: Header) -> pa.Schema:
+    """Schema of the contacts table: one row per row of the grasps table, same order."""
+    return arrow_schema(header, ("grasp_id", *CONTACT_COLUMNS))
+
+
+def verdicts_schema(header: Header) -> pa.Schema:
+    """Schema of one verdict table; rows as in the grasps table, `success` null = not tested."""
+    schema = arrow_schema(header, ("grasp_id", *VERDICT_COLUMNS))
+    at = schema.get_field_index("success")
+    return schema.set(at, schema.field(at).with_nullable(True))
+
+
+def plain_schema(fields: tuple[Field, ...]) -> pa.Schema:
+    """Schema of the objects, scenes or runs table."""
+    import pyarrow as pa
+
+    return pa.schema([_arrow_field(f) for f in fields])
+
+
+def column_field(name: str) -> Field:
+    """The field-table row of a column of the grasps table."""
+    extras = {f.name: f for f in GRASP_EXTRAS}
+    return extras[name] if name in extras else FIELDS[name]
+
+
+def _arrow_field(column: Field) -> pa.Field:
+    import pyarrow as pa
+
+    kind = pa.string() if column.dtype == "string" else pa.type_for_alias(column.dtype)
+    nullable = column.name in NULLABLE
+    return pa.field(column.name, kind, nullable=nullable, metadata=field_metadata(column))
