@@ -44,6 +44,8 @@ class Status(IntEnum):
     SLIP = 74
     TURNED = 75
     UNSTABLE = 76
+    BAD_POSE = 77
+    NO_SCENE = 78
 
     @property
     def sentence(self) -> str:
@@ -83,4 +85,6 @@ _SENTENCES = {
     Status.SLIP: "the object moved farther than the limit under load",
     Status.TURNED: "the object turned farther than the limit under load",
     Status.UNSTABLE: "the simulation became unstable",
+    Status.BAD_POSE: "the stored pose is not finite, not a rotation or absurdly far away",
+    Status.NO_SCENE: "the simulator refuses to build a scene of the object at this size",
 }

@@ -1,0 +1,136 @@
+"""Put hands, one object and an optional table into one `mujoco.MjSpec`, and compile it.
+
+Frames: the spec's world is the record's world; the object's body frame is the object frame, with
+the centre of mass at its origin; each hand's root body is the hand frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bidexdata.hands.model import Hand
+from bidexdata.objects.prepared import Solid
+
+from .settings import SceneSettings
+
+if TYPE_CHECKING:
+    import mujoco
+
+OBJECT_BODY = "object"
+TABLE_GEOM = "table"
+
+
+def hand_prefix(index: int) -> str:
+    """Prefix of every name of hand number `index` in the scene; hands may share their names."""
+    return f"hand{index}/"
+
+
+def mocap_name(index: int) -> str:
+    """Name of the mocap body to which hand number `index` is welded."""
+    return f"mocap{index}"
+
+
+def scene_spec(
+    hands: Sequence[Hand], solid: Solid | None, size: float, settings: SceneSettings, *, table: bool
+) -> mujoco.MjSpec:
+    """Assemble the scene as a spec; contact, gain and solver numbers are set by `apply_settings`.
+
+    Args:
+        hands: Hands in the order of the record's H axis.
+        solid: The object; none for a scene of hands alone.
+        size: Bounding-box diagonal of the object [m].
+        settings: Numbers of the scene.
+        table: Add the plane z = 0.
+    """
+    import mujoco
+
+    spec = mujoco.MjSpec()
+    spec.modelname = "scene"
+    for index, hand in enumerate(hands):
+        _add_hand(spec, hand, index, settings)
+    if solid is not None:
+        _add_object(spec, solid, size, settings.density)
+    if table:
+        spec.worldbody.add_geom(
+            name=TABLE_GEOM, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0]
+        )
+    return spec
+
+
+def _add_hand(spec: mujoco.MjSpec, hand: Hand, index: int, settings: SceneSettings) -> None:
+    import mujoco
+
+    child = hand.make_spec()
+    # Options of the scene are set on the compiled model: equal ones here keep `attach` quiet.
+    child.option.cone, child.option.impratio = spec.option.cone, spec.option.impratio
+    _drop_pictures(child)
+    prefix = hand_prefix(index)
+    spec.attach(child, prefix=prefix, frame=spec.worldbody.add_frame())
+    root = spec.body(prefix + hand.root_body)
+    root.pos, root.quat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
+    root.add_freejoint(name=prefix + "root")
+    spec.worldbody.add_body(name=mocap_name(index), mocap=True)
+    weld = spec.add_equality(
+        name=prefix + "weld",
+        type=mujoco.mjtEq.mjEQ_WELD,
+        objtype=mujoco.mjtObj.mjOBJ_BODY,
+        name1=mocap_name(index),
+        name2=prefix + hand.root_body,
+        solref=list(settings.weld_solref),
+        solimp=list(settings.weld_solimp),
+    )
+    # anchor, relative position, relative quaternion, torque scale
+    data = np.zeros_like(weld.data)
+    data[6], data[10] = 1.0, settings.weld_torque_scale
+    weld.data = data
+    names = set(hand.body_names)
+    for first, second in settings.excluded_bodies:
+        pair = [next((n for n in names if _is_called(n, wanted)), "") for wanted in (first, second)]
+        if all(pair):
+            spec.add_exclude(bodyname1=prefix + pair[0], bodyname2=prefix + pair[1])
+
+
+def _is_called(body: str, wanted: str) -> bool:
+    return body == wanted or body.endswith("_" + wanted)
+
+
+def _drop_pictures(child: mujoco.MjSpec) -> None:
+    """Remove geoms that never collide from a hand, where the body's inertia is given without them.
+
+    Their meshes are most of the time that compiling takes.
+    """
+    for body in child.bodies:
+        if not body.explicitinertial:
+            continue
+        for geom in list(body.geoms):
+            if geom.contype == 0 and geom.conaffinity == 0:
+                child.delete(geom)
+    used = {geom.meshname for geom in child.geoms}
+    for mesh in list(child.meshes):
+        if mesh.name not in used:
+            child.delete(mesh)
+
+
+def _add_object(spec: mujoco.MjSpec, solid: Solid, size: float, density: float) -> None:
+    import mujoco
+
+    body = spec.worldbody.add_body(name=OBJECT_BODY)
+    body.add_freejoint(name=OBJECT_BODY)
+    inertia = solid.inertia_at(size, density)
+    body.explicitinertial = True
+    body.mass = solid.mass(size, density)
+    body.ipos = [0.0, 0.0, 0.0]
+    body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    for number, piece in enumerate(solid.pieces):
+        name = f"piece{number}"
+        spec.add_mesh(
+            name=name,
+            uservert=(piece.vertices * size).ravel(),
+            userface=piece.faces.ravel(),
+            # The body's inertia is given; this choice only keeps flat pieces from being refused.
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)

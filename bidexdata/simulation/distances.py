@@ -1,0 +1,144 @@
+"""Signed distances between hands, fingers and object in one pose, from one collision pass.
+
+MuJoCo lists a contact when its distance is below margin + gap and lets it push below margin
+(4.0.0; 3.3.2 differs), so distances are read with margin 0 and gap equal to the reach asked for,
+on the object's geoms only: pairs of hand geoms appear only where they overlap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bidexdata.hands.model import Hand
+from bidexdata.objects.prepared import Solid
+
+from .scene import SimScene, build_scene
+from .state import set_pose
+
+FloatArray = NDArray[np.float64]
+REACH = 0.01
+"""Distances beyond this read as this [m] (DexGraspBench: contact margin)."""
+
+
+class Distances(NamedTuple):
+    """Smallest signed distances in one pose [m]; negative = depth of an overlap."""
+
+    hand_object: float
+    """Over all hand geoms and pieces; at most the reach."""
+    self_collision: float
+    """Within each hand, at most 0."""
+    inter_hand: float
+    """Between hands, at most 0."""
+    table: float
+    """Between hands and table; 0 unless they overlap."""
+    fingers: FloatArray
+    """Of each finger of all hands to the object, at most the reach, (F,)."""
+    bodies: tuple[FloatArray, ...]
+    """Of each body to the object, at most the reach, per hand (B,)."""
+
+
+def measure_distances(
+    scene: SimScene,
+    object_pos: ArrayLike,
+    object_quat: ArrayLike,
+    hand_pos: ArrayLike,
+    hand_quat: ArrayLike,
+    joints: ArrayLike,
+    *,
+    reach: float = REACH,
+) -> Distances:
+    """Measure one pose; arguments as in `set_pose`. The scene's state is overwritten."""
+    set_pose(scene, object_pos, object_quat, hand_pos, hand_quat, joints)
+    owners, geoms, dist = _contacts(scene, reach)
+    of_object = scene.object_owner
+    with_object = owners[:, 1] == of_object
+    among_hands = (owners[:, 0] >= 0) & (owners[:, 1] < of_object)
+    same = owners[:, 0] == owners[:, 1]
+    with_table = (owners[:, 0] < 0) & (owners[:, 1] < of_object)
+    touching, near = geoms[with_object, 0], np.minimum(dist[with_object], reach)
+    fingers = np.full(len(scene.finger_names) + 1, reach)
+    np.minimum.at(fingers, scene.geom_finger[touching], near)  # -1: the spare last place
+    bodies = []
+    for i, hand in enumerate(scene.hands):
+        own = scene.geom_owner[touching] == i
+        nearest = np.full(len(hand.body_names), reach)
+        np.minimum.at(nearest, scene.geom_body[touching[own]], near[own])
+        bodies.append(nearest)
+    return Distances(
+        hand_object=float(np.min(near, initial=reach)),
+        self_collision=float(np.min(dist[among_hands & same], initial=0.0)),
+        inter_hand=float(np.min(dist[among_hands & ~same], initial=0.0)),
+        table=float(np.min(dist[with_table], initial=0.0)),
+        fingers=fingers[:-1],
+        bodies=tuple(bodies),
+    )
+
+
+def pregrasp_penetration(
+    hands: Sequence[Hand],
+    solid: Solid,
+    size: float,
+    object_pos: ArrayLike,
+    object_quat: ArrayLike,
+    hand_pos: ArrayLike,
+    hand_quat: ArrayLike,
+    joints: ArrayLike,
+    *,
+    scene: SimScene | None = None,
+) -> FloatArray:
+    """Depth of the deepest hand-object overlap of each pose [m], (N,), zero or more.
+
+    Args:
+        hands: H hands.
+        solid: The object.
+        size: Its bounding-box diagonal [m].
+        object_pos: Origin of the object frame, the same for all [m], (3,).
+        object_quat: Orientation of the object frame, (4,).
+        hand_pos: [m], (N, H, 3).
+        hand_quat: (N, H, 4).
+        joints: [rad], (N, H, J).
+        scene: A scene of the same hands and object-size to use again.
+
+    Returns:
+        Depths; NaN where a pose is not finite.
+    """
+    scene = scene or build_scene(hands, solid, size)
+    hand_pos, hand_quat = np.asarray(hand_pos, float), np.asarray(hand_quat, float)
+    joints = np.asarray(joints, float)
+    depth = np.full(len(hand_pos), np.nan)
+    for n in range(len(hand_pos)):
+        if not (np.isfinite(hand_pos[n]).all() and np.isfinite(hand_quat[n]).all()):
+            continue
+        if not all(
+            np.isfinite(joints[n, i, : len(a)]).all() for i, a in enumerate(scene.joint_qpos)
+        ):
+            continue
+        set_pose(scene, object_pos, object_quat, hand_pos[n], hand_quat[n], joints[n])
+        owners, _, dist = _contacts(scene, 0.0)
+        depth[n] = -np.min(dist[owners[:, 1] == scene.object_owner], initial=0.0)
+    return depth
+
+
+def _contacts(scene: SimScene, reach: float) -> tuple[NDArray, NDArray, FloatArray]:
+    """List contacts of the state: owners (K, 2) ascending, geoms (K, 2) alike, distance (K,)."""
+    import mujoco
+
+    model, data = scene.model, scene.data
+    of_object = scene.geom_owner == scene.object_owner
+    model.geom_gap[of_object] = reach
+    try:
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+    finally:
+        model.geom_gap[of_object] = 0.0
+    geoms = np.array(data.contact.geom, dtype=np.intp).reshape(-1, 2)
+    dist = np.array(data.contact.dist, dtype=np.float64)
+    owners = scene.geom_owner[geoms]
+    swap = owners[:, 0] > owners[:, 1]
+    geoms[swap], owners[swap] = geoms[swap][:, ::-1], owners[swap][:, ::-1]
+    return owners, geoms, dist

@@ -1,0 +1,85 @@
+"""SceneSettings: every number of the simulated scene that is not a pose.
+
+The defaults are those of protocol `paper-1`. Where the paper is silent they follow DexGraspBench
+(facts on synthesis and validation, 2.1 and 2.2); the paper fixes density, friction and gravity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bidexdata.errors import BadConfig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneSettings:
+    """Contact, solver, weld and actuator parameters of a scene.
+
+    Source:
+        DexGraspBench `hand_util.py` (solver, contacts, gains, welds, exclusions); BiDexGrasp,
+        section 6 (density, friction).
+    """
+
+    timestep: float = 0.004
+    """[s]."""
+    impratio: float = 10.0
+    """Frictional to normal constraint impedance of elliptic cones [-]."""
+    noslip_iterations: int = 2
+    """Passes of the no-slip post-processor; without it grips creep and light objects fall late."""
+    elliptic: bool = True
+    """Elliptic friction cones; pyramids lose grasps that hold (measured: 4 of 24)."""
+    solver_iterations: int = 100
+    """Upper bound of Newton iterations per step."""
+    tolerance: float = 1e-8
+    """Relative improvement at which the solver stops [-]."""
+
+    friction_slide: float = 0.6
+    """Tangential friction of every geom [-] (paper, section 6)."""
+    friction_spin: float = 0.02
+    """Torsional friction of every geom [m] (paper, section 6)."""
+    friction_roll: float = 1e-4
+    """Rolling friction [m]; without effect at condim 4, MuJoCo's default."""
+    condim: int = 4
+    """Contact dimension: normal, two tangents, spin."""
+    density: float = 2.5
+    """Density of the solid [kg/m^3] (paper, section 6, as printed)."""
+
+    hand_solref: tuple[float, float] = (0.005, 1.0)
+    """Time constant [s] and damping ratio of the hand's geoms; the object keeps the defaults."""
+    hand_solimp: tuple[float, float, float] = (0.5, 0.99, 0.0001)
+    """Impedance range [-] and width [m] of the hand's geoms."""
+    excluded_bodies: tuple[tuple[str, str], ...] = (
+        ("palm", "ffproximal"),
+        ("palm", "mfproximal"),
+        ("palm", "rfproximal"),
+        ("lfmetacarpal", "lfproximal"),
+        ("ffknuckle", "mfknuckle"),
+        ("mfknuckle", "rfknuckle"),
+    )
+    """Pairs of one hand's bodies that do not collide, besides those that the hand's own model
+    excludes; names without side prefix, pairs that a hand lacks are skipped."""
+
+    actuator_kp: float = 5.0
+    """Stiffness of every position actuator [N m/rad]; no derivative gain."""
+    actuator_force: float = 3.0
+    """Largest torque of an actuator, both signs [N m]; controls have no range."""
+
+    weld_solref: tuple[float, float] = (0.02, 1.0)
+    """Time constant [s] and damping ratio of the weld between hand root and mocap body."""
+    weld_solimp: tuple[float, float, float, float, float] = (0.9, 0.95, 0.001, 0.5, 2.0)
+    """Impedance of the weld."""
+    weld_torque_scale: float = 1.0
+    """Weight of the weld's rotation against its translation [m]."""
+    hand_gravity_compensation: float = 0.0
+    """Share of gravity that does not act on the hands [-]."""
+
+    def __post_init__(self) -> None:
+        positive = ("timestep", "impratio", "density", "actuator_kp", "actuator_force", "tolerance")
+        for name in positive:
+            if not getattr(self, name) > 0:
+                raise BadConfig(f"scene.{name} must be positive, not {getattr(self, name)!r}")
+        for name in ("friction_slide", "friction_spin", "friction_roll", "noslip_iterations"):
+            if not getattr(self, name) >= 0:
+                raise BadConfig(f"scene.{name} must not be negative, got {getattr(self, name)!r}")
+        if self.condim not in (1, 3, 4, 6):
+            raise BadConfig(f"scene.condim must be 1, 3, 4 or 6, not {self.condim!r}")

@@ -1,0 +1,61 @@
+"""Put a pose into a scene, and read the object's pose out of it. World frame, wxyz, SI units."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .scene import SimScene
+
+FloatArray = NDArray[np.float64]
+
+
+def set_pose(
+    scene: SimScene,
+    object_pos: ArrayLike,
+    object_quat: ArrayLike,
+    hand_pos: ArrayLike,
+    hand_quat: ArrayLike,
+    joints: ArrayLike,
+) -> None:
+    """Reset the scene completely, then place object and hands at rest, targets at the same pose.
+
+    Args:
+        scene: The scene; its state is overwritten, warm start of the solver included.
+        object_pos: Origin of the object frame [m], (3,).
+        object_quat: Orientation of the object frame, (4,).
+        hand_pos: Origins of the hand frames [m], (H, 3).
+        hand_quat: Orientations of the hand frames, (H, 4).
+        joints: Joint angles, padded beyond each hand's own [rad], (H, J).
+    """
+    import mujoco
+
+    data = scene.data
+    mujoco.mj_resetData(scene.model, data)
+    if scene.object_qpos >= 0:
+        a = scene.object_qpos
+        data.qpos[a : a + 3], data.qpos[a + 3 : a + 7] = object_pos, object_quat
+    hand_pos, hand_quat = np.asarray(hand_pos, float), np.asarray(hand_quat, float)
+    joints = np.asarray(joints, float)
+    for i, address in enumerate(scene.root_qpos):
+        data.qpos[address : address + 3] = hand_pos[i]
+        data.qpos[address + 3 : address + 7] = hand_quat[i]
+        own = joints[i, : len(scene.joint_qpos[i])]
+        data.qpos[scene.joint_qpos[i]] = own
+        data.ctrl[scene.actuators[i]] = scene.controls(i, own)
+        data.mocap_pos[scene.mocap[i]] = hand_pos[i]
+        data.mocap_quat[scene.mocap[i]] = hand_quat[i]
+
+
+def object_pose(scene: SimScene) -> tuple[FloatArray, FloatArray]:
+    """Position (3,) [m] and orientation (4,) of the object frame."""
+    a = scene.object_qpos
+    qpos = scene.data.qpos
+    return qpos[a : a + 3].copy(), qpos[a + 3 : a + 7].copy()
+
+
+def object_speed(scene: SimScene) -> tuple[float, float]:
+    """Linear [m/s] and angular [rad/s] speed of the object at its centre of mass."""
+    a = scene.object_qvel
+    qvel = scene.data.qvel
+    return float(np.linalg.norm(qvel[a : a + 3])), float(np.linalg.norm(qvel[a + 3 : a + 6]))

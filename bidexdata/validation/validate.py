@@ -1,0 +1,154 @@
+"""Judge the grasps of one object: from record rows to the columns that `validate` writes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bidexdata.errors import NotUsable
+from bidexdata.hands.model import Hand
+from bidexdata.objects.prepared import Solid
+from bidexdata.record import GraspBatch, Status
+from bidexdata.record.batch import empty_columns
+from bidexdata.record.fields import columns_written_by
+from bidexdata.simulation.distances import measure_distances
+from bidexdata.simulation.scene import SceneNotBuilt, SimScene, build_scene
+
+from .force_closure import Verdict, force_closure
+from .metrics import Metrics, grasp_metrics
+from .protocols import Protocol, require_test
+from .stages import Execution as Execution
+from .stages import Grasp
+
+_TESTS = {"f": force_closure}
+
+FARTHEST = 1000.0
+"""Poses beyond this are refused [m]: float32 then resolves less than 0.1 mm."""
+LARGEST_JOINT = 100.0
+"""Joint angles beyond this are refused [rad]."""
+QUAT_TOLERANCE = 1e-3
+"""A stored quaternion's length may differ from 1 by this much (float32 gives 1e-7)."""
+
+
+def validate_grasps(
+    batch: GraspBatch,
+    solid: Solid,
+    hands: Sequence[Hand],
+    protocol: Protocol,
+    test: str = "f",
+    *,
+    execution: Execution | None = None,
+) -> dict[str, np.ndarray]:
+    """Test and measure grasps of one object; any sizes and scenes, in any order.
+
+    One scene is compiled per size and reused; every grasp starts from a full reset, so the order
+    of the rows changes nothing.
+
+    Args:
+        batch: Rows whose object is `solid`.
+        solid: The object at unit diagonal.
+        hands: The hands in the order of the header's.
+        protocol: The settings.
+        test: Which of the protocol's tests.
+        execution: Early stops; on when omitted.
+
+    Returns:
+        The columns written by "validate", one value per row of `batch` in its order. Rows
+        without a grasp get status NOT_RUN.
+
+    Raises:
+        NotUsable: The protocol lacks the test, or object or hands are not those of the batch.
+    """
+    require_test(protocol, test)
+    _require_same(batch, solid, hands)
+    execution = execution or Execution()
+    columns = empty_columns(batch.header, columns_written_by("validate"), len(batch))
+    statuses = _statuses_before(batch, hands)
+    columns["verdict_status"][:] = statuses
+    runnable = statuses == Status.OK
+    for size_mm in np.unique(batch.size_mm[runnable]):
+        rows = np.flatnonzero(runnable & (batch.size_mm == size_mm))
+        try:
+            scene = build_scene(hands, solid, float(size_mm) / 1000, protocol.scene)
+        except SceneNotBuilt:
+            columns["verdict_status"][rows] = Status.NO_SCENE
+            continue
+        for row in rows:
+            grasp = grasp_of(batch, int(row))
+            _write_metrics(columns, int(row), _measure(scene, protocol, grasp))
+            _write_verdict(columns, int(row), _TESTS[test](scene, protocol, grasp, execution))
+    return columns
+
+
+def grasp_of(batch: GraspBatch, row: int) -> Grasp:
+    """Read one row in float64, quaternions made exactly unit."""
+    return Grasp(
+        batch.object_pos[row].astype(np.float64),
+        _unit(batch.object_quat_wxyz[row]),
+        batch.hand_pos[row].astype(np.float64),
+        _unit(batch.hand_quat_wxyz[row]),
+        batch.joints[row].astype(np.float64),
+    )
+
+
+def _unit(quat: NDArray[np.float32]) -> NDArray[np.float64]:
+    quat64 = quat.astype(np.float64)
+    return quat64 / np.linalg.norm(quat64, axis=-1, keepdims=True)
+
+
+def _measure(scene: SimScene, protocol: Protocol, grasp: Grasp) -> Metrics:
+    at = (grasp.hand_pos[:, 1], grasp.hand_quat[:, 1], grasp.joints[:, 1])
+    distances = measure_distances(
+        scene, grasp.object_pos, grasp.object_quat, *at, reach=protocol.reach
+    )
+    return grasp_metrics(distances, protocol.contact_within)
+
+
+def _write_metrics(columns: dict[str, np.ndarray], row: int, metrics: Metrics) -> None:
+    for name, value in metrics._asdict().items():
+        columns[name][row] = value
+
+
+def _write_verdict(columns: dict[str, np.ndarray], row: int, verdict: Verdict) -> None:
+    columns["success"][row] = verdict.status is Status.OK
+    columns["verdict_status"][row] = verdict.status
+    for name in ("direction", "drift_pos", "drift_rot", "time"):
+        columns[name][row] = getattr(verdict, name)
+
+
+def _statuses_before(batch: GraspBatch, hands: Sequence[Hand]) -> NDArray[np.int8]:
+    """NOT_RUN for rows without a grasp, BAD_POSE for rows that no simulator should see, else OK."""
+    statuses = np.full(len(batch), Status.OK, dtype=np.int8)
+    good = _is_position(batch.object_pos) & _is_rotation(batch.object_quat_wxyz)
+    good &= _is_position(batch.hand_pos).all(axis=(1, 2))
+    good &= _is_rotation(batch.hand_quat_wxyz).all(axis=(1, 2))
+    for i, hand in enumerate(hands):
+        own = batch.joints[:, i, :, : len(hand.joint_names)]
+        good &= (np.abs(own) < LARGEST_JOINT).all(axis=(1, 2))  # False for NaN
+    statuses[~good] = Status.BAD_POSE
+    if "synth_status" in batch:
+        statuses[batch.synth_status != Status.OK] = Status.NOT_RUN
+    return statuses
+
+
+def _is_position(pos: np.ndarray) -> NDArray[np.bool_]:
+    return (np.abs(pos) < FARTHEST).all(axis=-1)  # False for NaN
+
+
+def _is_rotation(quat: np.ndarray) -> NDArray[np.bool_]:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.abs(np.linalg.norm(quat.astype(np.float64), axis=-1) - 1) < QUAT_TOLERANCE
+
+
+def _require_same(batch: GraspBatch, solid: Solid, hands: Sequence[Hand]) -> None:
+    others = sorted(set(np.unique(batch.object_id)) - {solid.object_id})
+    if others:
+        raise NotUsable(f"the grasps are of object {others[0]!r}, not of {solid.object_id!r}")
+    names = [h.joint_names for h in batch.header.hands]
+    if names != [tuple(h.joint_names) for h in hands]:
+        raise NotUsable(
+            f"the grasps were made with hands {[h.name for h in batch.header.hands]} whose joints "
+            f"differ from those of {[h.name for h in hands]}"
+        )
