@@ -1,0 +1,1 @@
+"""Contact forces and the wrenches they make: what regions, optimisation and metrics share."""

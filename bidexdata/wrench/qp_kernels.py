@@ -1,0 +1,211 @@
+"""Warp kernels of the batched contact QP: projected gradient with exact projections.
+
+Problem (p, k, t): grasp p, contact group k (one hand, or both), target wrench t. One thread per
+problem; forces are world-fixed vectors, so no tangent frames are needed.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+# Newton on the pressure multiplier, a piecewise linear function with 3 kinks a contact: at most so
+# many steps in one iteration, and the last one from an error of at most this share of gamma.
+PRESSURE_STEPS = wp.constant(8)
+PRESSURE_TOLERANCE = wp.constant(1.0e-2)
+TINY = wp.constant(1.0e-12)
+
+
+@wp.func
+def project_to_cone(y: wp.vec3, n: wp.vec3, shift: float, mu: float, cap: float) -> wp.vec3:
+    """Closest force to y + shift n with 0 <= f.n <= cap and |f_t| <= mu f.n."""
+    along = wp.dot(y, n)
+    tangent = y - along * n
+    slide = wp.length(tangent)
+    a = along + shift
+    pressed = a
+    if slide > mu * a:
+        pressed = wp.max((a + mu * slide) / (1.0 + mu * mu), 0.0)
+    pressed = wp.min(pressed, cap)
+    kept = wp.min(1.0, mu * pressed / wp.max(slide, TINY))
+    return pressed * n + kept * tangent
+
+
+@wp.func
+def pressure_and_slope(a: float, slide: float, mu: float, cap: float) -> wp.vec2:
+    """Normal part of the projection of (a, slide) onto the cone, and its derivative by a."""
+    if a + mu * slide <= 0.0:
+        return wp.vec2(0.0, 0.0)
+    pressed = a
+    slope = float(1.0)
+    if slide > mu * a:
+        slope = 1.0 / (1.0 + mu * mu)
+        pressed = (a + mu * slide) * slope
+    if pressed >= cap:
+        return wp.vec2(cap, 0.0)
+    return wp.vec2(pressed, slope)
+
+
+@wp.func
+def hand_pressure(
+    normals: wp.array2d[wp.vec3],
+    y: wp.array4d[wp.vec3],
+    p: int,
+    layer: int,
+    t: int,
+    start: int,
+    stop: int,
+    shift: float,
+    mu: float,
+    cap: float,
+) -> wp.vec2:
+    """Sum over a hand of the normal parts of the projections of y + shift n, and its derivative."""
+    total = wp.vec2(0.0, 0.0)
+    for c in range(start, stop):
+        n = normals[p, c]
+        v = y[p, layer, t, c]
+        along = wp.dot(v, n)
+        total += pressure_and_slope(along + shift, wp.length(v - along * n), mu, cap)
+    return total
+
+
+@wp.func
+def next_shift(shift: float, pressure: wp.vec2, gamma: float, places: int) -> float:
+    """Newton step towards the shift at which the pressure is gamma, never below zero.
+
+    With no slope (all contacts released) the step assumes that every contact answers fully, which
+    falls short rather than overshoots.
+    """
+    slope = pressure[1]
+    if slope <= 0.0:
+        slope = float(places)
+    return wp.max(shift + (gamma - pressure[0]) / slope, 0.0)
+
+
+@wp.kernel
+def contact_qp_kernel(
+    # Contacts in:
+    points_in: wp.array2d[wp.vec3],
+    normals_in: wp.array2d[wp.vec3],
+    length_in: wp.array[float],
+    # Problem in:
+    group_first_hand: wp.array[int],
+    group_hands: wp.array[int],
+    group_layer: wp.array[int],
+    hand_start: wp.array[int],
+    hand_stop: wp.array[int],
+    targets: wp.array2d[wp.vec3],
+    mu: float,
+    gamma: float,
+    cap: float,
+    beta: float,
+    iterations: int,
+    # In and out: start and result
+    forces: wp.array4d[wp.vec3],
+    # Out:
+    residual_out: wp.array3d[float],
+    residual_force_out: wp.array3d[wp.vec3],
+    residual_torque_out: wp.array3d[wp.vec3],
+):
+    p, k, t = wp.tid()
+    layer = group_layer[k]
+    h0 = group_first_hand[k]
+    h1 = h0 + group_hands[k]
+    inv_length = 1.0 / length_in[p]
+    target_f = beta * targets[t, 0]
+    target_t = beta * targets[t, 1]
+
+    # Residual of the start, and the step: 1.6 over a bound of the largest eigenvalue of G G^T.
+    r_f = -target_f
+    r_t = -target_t
+    bound = float(0.0)
+    for h in range(h0, h1):
+        for c in range(hand_start[h], hand_stop[h]):
+            q = points_in[p, c] * inv_length
+            f = forces[p, layer, t, c]
+            r_f += f
+            r_t += wp.cross(q, f)
+            bound += 1.0 + wp.dot(q, q)
+    step = 1.6 / wp.max(bound, 1.0)
+    shifts = wp.vec2(0.0, 0.0)
+
+    for _ in range(iterations):
+        next_f = -target_f
+        next_t = -target_t
+        for h in range(h0, h1):
+            start = hand_start[h]
+            stop = hand_stop[h]
+            # The multiplier of the pressure bound shifts y along n; it moves little from one
+            # iteration to the next, so Newton continues from there.
+            shift = shifts[h - h0]
+            pressure = wp.vec2(0.0, 0.0)
+            for c in range(start, stop):
+                q = points_in[p, c] * inv_length
+                n = normals_in[p, c]
+                y = forces[p, layer, t, c] - step * (r_f + wp.cross(r_t, q))
+                forces[p, layer, t, c] = y
+                along = wp.dot(y, n)
+                pressure += pressure_and_slope(along + shift, wp.length(y - along * n), mu, cap)
+            if shift > 0.0 or pressure[0] < gamma:
+                for _newton in range(PRESSURE_STEPS):
+                    missing = wp.abs(gamma - pressure[0])
+                    shift = next_shift(shift, pressure, gamma, stop - start)
+                    if missing < PRESSURE_TOLERANCE * gamma or shift == 0.0:
+                        break
+                    pressure = hand_pressure(
+                        normals_in, forces, p, layer, t, start, stop, shift, mu, cap
+                    )
+                shifts[h - h0] = shift
+            for c in range(start, stop):
+                f = project_to_cone(forces[p, layer, t, c], normals_in[p, c], shift, mu, cap)
+                forces[p, layer, t, c] = f
+                next_f += f
+                next_t += wp.cross(points_in[p, c] * inv_length, f)
+        r_f = next_f
+        r_t = next_t
+
+    residual_out[p, k, t] = wp.dot(r_f, r_f) + wp.dot(r_t, r_t)
+    residual_force_out[p, k, t] = r_f
+    residual_torque_out[p, k, t] = r_t
+
+
+@wp.kernel
+def contact_qp_gradient_kernel(
+    # Contacts in:
+    points_in: wp.array2d[wp.vec3],
+    normals_in: wp.array2d[wp.vec3],
+    length_in: wp.array[float],
+    # Problem in:
+    group_first_hand: wp.array[int],
+    group_hands: wp.array[int],
+    group_layer: wp.array[int],
+    group_weight: wp.array[float],
+    contact_hand: wp.array[int],
+    # Solution in:
+    forces_in: wp.array4d[wp.vec3],
+    residual_force_in: wp.array3d[wp.vec3],
+    residual_torque_in: wp.array3d[wp.vec3],
+    # Out:
+    grad_points_out: wp.array2d[wp.vec3],
+    grad_normals_out: wp.array2d[wp.vec3],
+):
+    p, c = wp.tid()
+    d_point = wp.vec3(0.0)
+    d_normal = wp.vec3(0.0)
+    hand = contact_hand[c]
+    if hand >= 0:
+        n = normals_in[p, c]
+        inv_length = 1.0 / length_in[p]
+        q = points_in[p, c] * inv_length
+        for k in range(group_layer.shape[0]):
+            h0 = group_first_hand[k]
+            if hand >= h0 and hand < h0 + group_hands[k]:
+                w = 2.0 * group_weight[k]
+                layer = group_layer[k]
+                for t in range(forces_in.shape[2]):
+                    f = forces_in[p, layer, t, c]
+                    r_t = residual_torque_in[p, k, t]
+                    g = residual_force_in[p, k, t] + wp.cross(r_t, q)
+                    d_point += w * inv_length * wp.cross(f, r_t)
+                    d_normal += w * (wp.dot(f, n) * g - wp.dot(g, n) * f)
+    grad_points_out[p, c] = d_point
+    grad_normals_out[p, c] = d_normal
