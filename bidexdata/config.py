@@ -34,7 +34,7 @@ def to_plain(config: Any) -> Any:
     return config
 
 
-def from_plain(cls: type[T], data: Mapping[str, Any], where: str | None = None) -> T:
+def from_plain(cls: type[T], data: Any, where: str | None = None) -> T:
     """Build dataclass `cls` from plain data.
 
     Args:

@@ -33,7 +33,7 @@ class Tally:
         self._rows: Counter[str] = Counter()
         self._attempts: Counter[str] = Counter()
         self._verdicts: dict[str, Counter[str]] = {t: Counter() for t in tests}
-        # (kind, test, size) -> object -> [successes, trials]
+        # (kind, test, size) -> object -> [successes, rows, rows wanted]
         self._trials: dict[tuple[str, str, int], dict[str, list[int]]] = defaultdict(dict)
         self._kept: dict[int, list[int]] = defaultdict(lambda: [0, 0])
         self._metrics: dict[tuple[str, int], list[float]] = defaultdict(lambda: [0.0, 0])
@@ -49,8 +49,8 @@ class Tally:
         """Count rows of whole scenes.
 
         Args:
-            batch: Synth columns; all stored rows of every scene it touches, and the attempts of
-                all these scenes (also those without rows) in `header.counts`.
+            batch: Synth columns, and in `header.counts` the attempts of all scenes that the rows
+                stand for, those without rows included.
             verdicts: Verdict columns per test of one protocol, row by row; a missing test was not
                 run on these rows.
             run: Tells equal scenes of different runs apart.
@@ -58,16 +58,14 @@ class Tally:
         """
         verdicts = verdicts or {}
         selected, audit = _flags(batch)
-        scenes = self._note_scenes(batch, run)
-        for size in set(scenes.values()):
-            in_size = batch["size_mm"] == size
-            number = sum(1 for s in scenes.values() if s == size)
+        touched, new = self._note_scenes(batch, run)
+        for size in set(touched.values()):
             if grasps is not None:
-                self._kept[size][0] += int((selected & in_size).sum())
-                self._kept[size][1] += grasps * number
+                self._kept[size][0] += int((selected & (batch["size_mm"] == size)).sum())
+                self._kept[size][1] += grasps * sum(1 for s in new if touched[s] == size)
             for test in self.tests:
                 if test in verdicts:
-                    self._add_trials(batch, verdicts[test], test, size, scenes, grasps)
+                    self._add_trials(batch, verdicts[test], test, size, touched, new, grasps)
         self._rows["stored"] += len(batch)
         self._rows["selected"] += int(selected.sum())
         self._rows["audit"] += int(audit.sum())
@@ -85,7 +83,7 @@ class Tally:
         sizes = sorted({size for _, size in self._scenes.values()})
         first = self.tests[0]
         out: dict[str, Any] = {
-            "objects": len({o for o, _ in self._scenes.values()}),
+            "objects": len({obj for obj, _ in self._scenes.values()}),
             "scenes": len(self._scenes),
             "n": self._rows["stored"],
             "selected_rows": self._rows["selected"],
@@ -118,14 +116,14 @@ class Tally:
             }
         return out
 
-    def _note_scenes(self, batch: GraspBatch, run: str) -> dict[str, int]:
-        scenes = {scene: _size_of(scene) for scene in batch.header.counts}
-        scenes |= {str(s): _size_of(str(s)) for s in np.unique(batch["scene_id"])}
-        for scene, size in scenes.items():
-            if (run, scene) in self._scenes:
-                raise ValueError(f"scene {scene} of run {run!r} was added twice")
-            self._scenes[(run, scene)] = (scene.rsplit("/", 2)[0], size)
-        return scenes
+    def _note_scenes(self, batch: GraspBatch, run: str) -> tuple[dict[str, int], set[str]]:
+        """Sizes of the scenes of a batch, and which of them this run had not touched before."""
+        names = {*batch.header.counts, *np.unique(batch["scene_id"]).tolist()}
+        touched = {scene: _size_of(scene) for scene in sorted(names)}
+        new = {scene for scene in touched if (run, scene) not in self._scenes}
+        for scene in new:
+            self._scenes[(run, scene)] = (_object_of(scene), touched[scene])
+        return touched, new
 
     def _add_trials(
         self,
@@ -133,26 +131,29 @@ class Tally:
         verdict: Mapping[str, np.ndarray],
         test: str,
         size: int,
-        scenes: Mapping[str, int],
+        touched: Mapping[str, int],
+        new: set[str],
         grasps: int | None,
     ) -> None:
         selected, audit = _flags(batch)
         passed = verdict["success"] & (batch["synth_status"] == Status.OK)
         in_size = batch["size_mm"] == size
-        for obj in {s.rsplit("/", 2)[0] for s, mm in scenes.items() if mm == size}:
+        scenes = [scene for scene, mm in touched.items() if mm == size]
+        for obj in {_object_of(scene) for scene in scenes}:
             mine = in_size & (batch["object_id"] == obj)
-            kept = mine & selected
+            kept, drawn = mine & selected, mine & audit
             self._count("selected", test, size, obj, (passed & kept).sum(), kept.sum())
             if grasps is not None:
-                number = sum(1 for s in scenes if s.startswith(f"{obj}/{size}/"))
-                drawn = audit & mine
-                trials = max(grasps * number, int(drawn.sum()))
-                self._count("unselected", test, size, obj, (passed & drawn).sum(), trials)
+                wanted = grasps * sum(1 for s in scenes if s in new and _object_of(s) == obj)
+                wins = (passed & drawn).sum()
+                self._count("unselected", test, size, obj, wins, drawn.sum(), wanted)
 
-    def _count(self, kind: str, test: str, size: int, obj: str, k: int, n: int) -> None:
-        pair = self._trials[(kind, test, size)].setdefault(obj, [0, 0])
-        pair[0] += int(k)
-        pair[1] += int(n)
+    def _count(
+        self, kind: str, test: str, size: int, obj: str, k: int, n: int, wanted: int = 0
+    ) -> None:
+        trials = self._trials[(kind, test, size)].setdefault(obj, [0, 0, 0])
+        for i, value in enumerate((k, n, wanted)):
+            trials[i] += int(value)
 
     def _add_metrics(
         self, size_mm: np.ndarray, selected: np.ndarray, measured: Mapping[str, np.ndarray]
@@ -177,10 +178,10 @@ class Tally:
     def _rate(self, kind: str, test: str, sizes: list[int]) -> Rate:
         objects: dict[str, list[int]] = {}
         for size in sizes:
-            for obj, (k, n) in self._trials[(kind, test, size)].items():
+            for obj, (k, n, wanted) in self._trials[(kind, test, size)].items():
                 pair = objects.setdefault(obj, [0, 0])
                 pair[0] += k
-                pair[1] += n
+                pair[1] += max(n, wanted)  # audit rows that a scene could not fill are failures
         pairs = [objects[o] for o in sorted(objects)]
         return clustered_interval([p[0] for p in pairs], [p[1] for p in pairs])
 
@@ -191,6 +192,10 @@ def _flags(batch: GraspBatch) -> tuple[np.ndarray, np.ndarray]:
     selected = batch["selected"] if "selected" in batch else np.ones(n, bool)
     audit = batch["audit"] if "audit" in batch else np.zeros(n, bool)
     return selected, audit
+
+
+def _object_of(scene_id: str) -> str:
+    return scene_id.rsplit("/", 2)[0]
 
 
 def _size_of(scene_id: str) -> int:

@@ -75,9 +75,8 @@ def scene_rows(
     for part in parts:
         ids = {*part.batch.header.counts, *np.unique(part.batch["scene_id"]).tolist()}
         for scene in ids:
-            row = scenes.setdefault(scene, {"wanted": 0, "runs": 0, "counts": Counter()})
-            row["wanted"] += wanted[part.run] or 0
-            row["runs"] += 1
+            row = scenes.setdefault(scene, {"runs": set(), "counts": Counter()})
+            row["runs"].add(part.run)
             row["counts"].update(part.batch.header.counts.get(scene, {}))
     out = []
     for scene, row in scenes.items():
@@ -90,8 +89,8 @@ def scene_rows(
                 "size_mm": int(size),
                 "setting": "floating" if setting == "float" else "tabletop",
                 "split": split,
-                "runs": row["runs"],
-                "grasps_wanted": row["wanted"],
+                "runs": len(row["runs"]),
+                "grasps_wanted": sum(wanted[run] or 0 for run in row["runs"]),
                 "selected_rows": int((mine & rows.batch["selected"]).sum()),
                 "audit_rows": int((mine & rows.batch["audit"]).sum()),
                 "attempts": json.dumps(dict(row["counts"]), sort_keys=True),

@@ -25,6 +25,8 @@ from bidexdata.formats.rows import TestKey
 from bidexdata.formats.tables import CONFIGURATIONS, GRASP_COLUMNS, VERDICT_COLUMNS
 from bidexdata.formats.writer import ReleaseSummary as ReleaseSummary
 from bidexdata.formats.writer import write_release as write_release
+from bidexdata.objects.library import object_folder
+from bidexdata.objects.storage import read_solid
 from bidexdata.record import GraspBatch, HandHeader, Header
 from bidexdata.record.fields import columns_of_table
 
@@ -138,10 +140,8 @@ class Release:
         Raises:
             UnknownName: The release has no such object.
         """
-        from bidexdata.objects.library import object_folder, read_solid
-
         self._check_object(object_id)
-        return read_solid(self.path / object_folder(object_id))
+        return read_solid(object_folder(self.path, object_id))
 
     def cloud(self, kind: str = "cloud_solid", object_id: str | None = None) -> NDArray[np.float32]:
         """Point clouds at unit diagonal: all (K, P, 3), mapped, or one object's (P, 3).

@@ -33,7 +33,7 @@ GRASP_EXTRAS = (
 )
 
 OBJECT_FIELDS = (
-    Field("object_id", "string", "", "", "", "pack", "objects", "identity; folder objects/<last 2 hex digits>/<object_id>"),
+    Field("object_id", "string", "", "", "", "pack", "objects", "identity; folder objects/<first 2 of its hex digits>/<object_id>"),
     Field("cloud_index", "int32", "", "", "", "pack", "objects", "row of the object in clouds/*.npy"),
     Field("split", "string", "", "", "", "pack", "objects", "train or test"),
     Field("source", "string", "", "", "", "prepare", "objects", "collection that the mesh comes from"),

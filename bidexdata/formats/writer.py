@@ -44,7 +44,9 @@ from bidexdata.formats.rows import (
 from bidexdata.formats.splits import SPLITS, split_objects
 from bidexdata.formats.tables import CONFIGURATIONS, SORTED_BY
 from bidexdata.hands.model import Hand
+from bidexdata.objects.library import object_folder
 from bidexdata.objects.prepared import PreparedObject
+from bidexdata.objects.storage import write_solid
 from bidexdata.record import Header
 
 Form = Literal["both", "parquet", "hdf5"]
@@ -162,8 +164,6 @@ def _write_objects(
     cloud_points: int,
 ) -> dict[str, str]:
     """Write object files, clouds and the objects table; give object_id -> split."""
-    from bidexdata.objects.library import object_folder, write_solid
-
     (root / "clouds").mkdir()
     arrays = {
         kind: np.lib.format.open_memmap(
@@ -175,7 +175,7 @@ def _write_objects(
     for i, object_id in enumerate(ids):
         obj = load_object(object_id)
         rows.append(object_row(obj, shape_hash(obj)))
-        write_solid(root / object_folder(object_id), obj)
+        write_solid(object_folder(root, object_id), obj)
         for kind, mesh in (("cloud_solid", obj.solid), ("cloud_mesh", obj.mesh)):
             key = f"{object_id}/{kind}"
             arrays[kind][i] = clouds.surface_cloud(mesh.vertices, mesh.faces, cloud_points, key)

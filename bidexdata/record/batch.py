@@ -59,15 +59,19 @@ class Header:
     """Keys of newer minor versions, kept as read."""
 
     def axis(self, letter: str) -> int:
-        """Length of the axis H, S, J or C, or the number that `letter` spells."""
+        """Length of the axis H, S, J or C, or the number that `letter` spells.
+
+        J and C are at least 1, so that hands without contact points have a padded column: Parquet
+        has no lists of length zero.
+        """
         if letter == "H":
             return len(self.hands)
         if letter == "S":
             return len(STAGES)
         if letter == "J":
-            return max((len(h.joint_names) for h in self.hands), default=0)
+            return max([1, *(len(h.joint_names) for h in self.hands)])
         if letter == "C":
-            return max((len(h.contact_names) for h in self.hands), default=0)
+            return max([1, *(len(h.contact_names) for h in self.hands)])
         return int(letter)
 
     def shape(self, column: Field) -> tuple[int, ...]:
@@ -225,7 +229,9 @@ def arrow_schema(header: Header, names: Sequence[str]) -> pa.Schema:
     for name in names:
         column = FIELDS[name]
         kind = pa.string() if column.dtype == "string" else pa.type_for_alias(column.dtype)
-        size = int(np.prod(header.shape(column))) if column.axes else 0
+        size = int(np.prod(header.shape(column))) if column.axes else 1
+        if size == 0:
+            raise BadRecord(f"column {name!r} has no values: the header names no hand")
         if column.axes:
             kind = pa.list_(pa.field("element", kind, nullable=False), size)
         out.append(pa.field(name, kind, nullable=False, metadata=field_metadata(column)))
