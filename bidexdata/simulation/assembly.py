@@ -67,6 +67,8 @@ def _add_hand(spec: mujoco.MjSpec, hand: Hand, index: int, settings: SceneSettin
     # Options of the scene are set on the compiled model: equal ones here keep `attach` quiet.
     child.option.cone, child.option.impratio = spec.option.cone, spec.option.impratio
     _drop_pictures(child)
+    for body in child.bodies:
+        body.gravcomp = settings.hand_gravity_compensation
     prefix = hand_prefix(index)
     spec.attach(child, prefix=prefix, frame=spec.worldbody.add_frame())
     root = spec.body(prefix + hand.root_body)

@@ -18,6 +18,7 @@ from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import Solid
 
 from .assembly import OBJECT_BODY, TABLE_GEOM, hand_prefix, mocap_name, scene_spec
+from .engine_log import engine_warnings_logged
 from .settings import SceneSettings
 
 if TYPE_CHECKING:
@@ -99,9 +100,10 @@ def build_scene(
     import mujoco
 
     settings = settings or SceneSettings()
-    spec = scene_spec(hands, solid, size, settings, table=table)
     try:
-        model = spec.compile()
+        with engine_warnings_logged():
+            spec = scene_spec(hands, solid, size, settings, table=table)
+            model = spec.compile()
     except ValueError as err:
         name = solid.object_id if solid is not None else "no object"
         reason = str(err).splitlines()[0]
@@ -194,16 +196,6 @@ def _apply_settings(scene: SimScene) -> None:
         model.actuator_forcelimited[actuators] = 1
         model.actuator_forcerange[actuators] = (-s.actuator_force, s.actuator_force)
         model.actuator_ctrllimited[actuators] = 0
-    if s.hand_gravity_compensation:
-        _compensate_gravity(scene)
-
-
-def _compensate_gravity(scene: SimScene) -> None:
-    model = scene.model
-    roots = {model.body(hand_prefix(i) + h.root_body).id for i, h in enumerate(scene.hands)}
-    of_hand = np.isin(model.body_rootid, list(roots))
-    model.body_gravcomp[of_hand] = scene.settings.hand_gravity_compensation
-    model.ngravcomp = int(of_hand.sum())
 
 
 def table_geom(scene: SimScene) -> int:

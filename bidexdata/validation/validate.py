@@ -14,6 +14,7 @@ from bidexdata.record import GraspBatch, Status
 from bidexdata.record.batch import empty_columns
 from bidexdata.record.fields import columns_written_by
 from bidexdata.simulation.distances import measure_distances
+from bidexdata.simulation.engine_log import engine_warnings_logged
 from bidexdata.simulation.scene import SceneNotBuilt, SimScene, build_scene
 
 from .force_closure import Verdict, force_closure
@@ -75,10 +76,12 @@ def validate_grasps(
         except SceneNotBuilt:
             columns["verdict_status"][rows] = Status.NO_SCENE
             continue
-        for row in rows:
-            grasp = grasp_of(batch, int(row))
-            _write_metrics(columns, int(row), _measure(scene, protocol, grasp))
-            _write_verdict(columns, int(row), _TESTS[test](scene, protocol, grasp, execution))
+        with engine_warnings_logged():
+            for row in rows:
+                grasp = grasp_of(batch, int(row))
+                _write_metrics(columns, int(row), _measure(scene, protocol, grasp))
+                verdict = _TESTS[test](scene, protocol, grasp, execution)
+                _write_verdict(columns, int(row), verdict)
     return columns
 
 
@@ -134,12 +137,13 @@ def _statuses_before(batch: GraspBatch, hands: Sequence[Hand]) -> NDArray[np.int
 
 
 def _is_position(pos: np.ndarray) -> NDArray[np.bool_]:
-    return (np.abs(pos) < FARTHEST).all(axis=-1)  # False for NaN
+    return np.all(np.abs(pos) < FARTHEST, axis=-1)  # False for NaN
 
 
 def _is_rotation(quat: np.ndarray) -> NDArray[np.bool_]:
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.abs(np.linalg.norm(quat.astype(np.float64), axis=-1) - 1) < QUAT_TOLERANCE
+        length = np.linalg.norm(quat.astype(np.float64), axis=-1)
+        return np.less(np.abs(length - 1), QUAT_TOLERANCE)
 
 
 def _require_same(batch: GraspBatch, solid: Solid, hands: Sequence[Hand]) -> None:
