@@ -1,0 +1,46 @@
+"""Child process of `convex`: one CoACD call under a limit of CPU time.
+
+CoACD cannot be interrupted from inside and ends the process on some inputs, so it never runs in
+the process that asks. Input and output are npz archives on standard input and output.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import sys
+
+import numpy as np
+
+
+def main() -> None:
+    """Read vertices, faces and options; write the vertices `v<k>` of every piece."""
+    data = np.load(io.BytesIO(sys.stdin.buffer.read()), allow_pickle=False)
+    options = json.loads(str(data["options"]))
+    _limit_cpu(options.pop("cpu_seconds"))
+    # CoACD writes to standard output; what we send must arrive alone.
+    answer = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    import coacd
+
+    coacd.set_log_level("off")
+    pieces = coacd.run_coacd(coacd.Mesh(data["vertices"], data["faces"]), **options)
+    arrays = {f"v{k}": v for k, (v, _) in enumerate(pieces)}
+    buffer = io.BytesIO()
+    np.savez(buffer, count=len(pieces), **arrays)  # type: ignore[arg-type]
+    answer.write(buffer.getvalue())
+    answer.close()
+
+
+def _limit_cpu(seconds: int) -> None:
+    try:
+        import resource
+    except ImportError:  # Windows: only the parent's wall-clock limit holds
+        return
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,161 @@
+"""PrepareConfig: every number that decides how a mesh file becomes a prepared object.
+
+Lengths without another unit are fractions of the bounding-box diagonal of the mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from bidexdata.errors import BadConfig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoadConfig:
+    """Reading a file."""
+
+    max_faces: int = 4_000_000
+    """Faces above which a file is refused as too complex (a bound on memory)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RepairConfig:
+    """From triangles to a closed solid (facts/assets.md, section 4)."""
+
+    weld: float = 1e-6
+    """Vertices closer than this are one vertex; UV and normal seams lie at exactly 0."""
+    loose_weld: float = 1e-4
+    """Second try for cracked seams; below the thinnest plates seen (3e-4)."""
+    remesh_cells: int = 80
+    """Grid cells per diagonal when a mesh has to be remeshed from its winding number."""
+    shell_cells: float = 0.75
+    """Half the thickness given to sheets that enclose no volume, in cells."""
+    lost_cells: float = 1.0
+    """A part of the surface is lost when the remeshed surface is farther away, in cells."""
+    simplify_cells: float = 0.15
+    """Tolerance of the simplification after a remesh, in cells."""
+    max_components: int = 3000
+    """Closed components above which they are not united but remeshed."""
+    display_faces: int = 20_000
+    """Faces of the stored mesh above which it is simplified."""
+    hausdorff_samples: int = 20_000
+    """Samples per direction of the Hausdorff distance, besides all vertices."""
+
+    def __post_init__(self):
+        _positive(self, "weld", "loose_weld", "remesh_cells", "shell_cells", "lost_cells")
+        if self.weld > self.loose_weld:
+            raise BadConfig("repair.loose_weld must not be smaller than repair.weld")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConvexConfig:
+    """Convex decomposition by CoACD (facts/assets.md, section 6)."""
+
+    convex_ratio: float = 0.985
+    """A mesh that fills this share of its hull is its hull: one piece, no search."""
+    simplify: float = 0.003
+    """Tolerance of the simplification before the search: worth more than any parameter below."""
+    threshold: float = 0.07
+    """Concavity at which the search stops, relative to CoACD's normalised mesh."""
+    thin_threshold: float = 0.05
+    """The same for thin objects, whose gaps hulls would bridge."""
+    thin_ratio: float = 0.008
+    """Thin means volume / (area x diagonal) below this."""
+    max_pieces: int = 32
+    """Pieces per object at most."""
+    max_vertices: int = 64
+    """Vertices per piece at most (a good value for MuJoCo)."""
+    mcts_iterations: int = 40
+    """Iterations of the tree search."""
+    mcts_nodes: int = 10
+    """Children per node of the tree search."""
+    mcts_max_depth: int = 2
+    """Depth of the tree search."""
+    resolution: int = 800
+    """Samples for the concavity."""
+    cpu_seconds: int = 60
+    """CPU seconds of the first try; it is ended then and the cheaper second try runs."""
+    second_threshold: float = 0.15
+    """Concavity of the second try."""
+    second_max_pieces: int = 16
+    """Pieces of the second try."""
+    second_cpu_seconds: int = 30
+    """CPU seconds of the second try; after it the hull is the last answer."""
+    min_volume: float = 1e-4
+    """Pieces below this share of the total volume are dropped: MuJoCo refuses tiny meshes."""
+
+    def __post_init__(self):
+        _positive(self, "threshold", "max_pieces", "cpu_seconds", "second_cpu_seconds")
+        if self.max_vertices < 8:
+            raise BadConfig(f"convex.max_vertices must be at least 8, not {self.max_vertices}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurfaceConfig:
+    """Points on the solid's surface."""
+
+    points: int = 6000
+    """Number of points (facts/prototype.md, section 5)."""
+    seed: int = 0
+    """Seed of the area-weighted draw; the same points for the same solid."""
+    crack: float = 0.01
+    """Points that face another wall of the solid nearer than this are left out: they lie in
+    the cracks between pieces, where no fingertip can be."""
+
+    def __post_init__(self):
+        _positive(self, "points")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SdfConfig:
+    """Signed-distance grid of the solid."""
+
+    cells: int = 112
+    """Cells on the longest side of the bounding box (facts/prototype.md, section 5)."""
+    margin: float = 0.06
+    """Room around the box, as a fraction of its longest side."""
+
+    def __post_init__(self):
+        _positive(self, "cells", "margin")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RestConfig:
+    """Poses in which the object rests on a table."""
+
+    coplanar: float = 0.01
+    """Hull faces whose normals differ by less [rad] are one facet."""
+    min_probability: float = 0.01
+    """Poses less probable than this are left out."""
+    max_poses: int = 16
+    """Poses kept, most probable first."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LimitsConfig:
+    """Bounds on the worker of one object; they never change a finished object."""
+
+    memory_gib: float = 6.0
+    """Address space of the worker [GiB]."""
+    wall_seconds: float = 300.0
+    """Wall-clock time per object [s]; above it the object is `timed_out`, a re-run tries again."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PrepareConfig:
+    """Everything `bidexdata prepare` can be told with --config and --set."""
+
+    load: LoadConfig = field(default_factory=LoadConfig)
+    repair: RepairConfig = field(default_factory=RepairConfig)
+    convex: ConvexConfig = field(default_factory=ConvexConfig)
+    surface: SurfaceConfig = field(default_factory=SurfaceConfig)
+    sdf: SdfConfig = field(default_factory=SdfConfig)
+    rest: RestConfig = field(default_factory=RestConfig)
+    limits: LimitsConfig = field(default_factory=LimitsConfig)
+
+
+def _positive(config: object, *names: str) -> None:
+    for name in names:
+        if getattr(config, name) <= 0:
+            value, kind = getattr(config, name), type(config).__name__
+            raise BadConfig(f"{kind}.{name} must be positive, not {value!r}")

@@ -1,0 +1,178 @@
+"""Convex pieces of a closed solid.
+
+A solid that fills its hull is one piece. Everything else goes to CoACD in a child process with a
+limit of CPU seconds, then to a cheaper second try, and at last it becomes its hull, which the
+method's name says. Whether two runs agree can depend on the CPU limit only, and that is recorded.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import os
+import subprocess
+import sys
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bidexdata.objects.closed import as_manifold, as_mesh, convex_hull, thinnest
+from bidexdata.objects.config import ConvexConfig
+from bidexdata.objects.failure import PrepareFailure
+from bidexdata.objects.prepared import TriangleMesh
+from bidexdata.record.status import Status
+
+if TYPE_CHECKING:
+    from manifold3d import Manifold
+
+_log = logging.getLogger(__name__)
+
+_WALL_PER_CPU = 6.0
+"""Wall-clock seconds granted per CPU second: the machine may be busy with other work."""
+_FLAT = 1e-5
+"""Pieces thinner than this (unit diagonal) have no volume that a simulator accepts."""
+
+
+class Decomposition(NamedTuple):
+    """Convex pieces, how they were found, and warnings for the report."""
+
+    pieces: tuple[TriangleMesh, ...]
+    method: str
+    """`convex`, `coacd`, `coacd_second` or `hull` (the last answer)."""
+    warnings: tuple[str, ...]
+
+
+def decompose(mesh: TriangleMesh, config: ConvexConfig) -> Decomposition:
+    """Split a closed solid of about unit diagonal into convex pieces.
+
+    Raises:
+        PrepareFailure: Not even the hull has a volume.
+    """
+    solid = as_manifold(mesh)
+    if solid is None:
+        raise PrepareFailure(Status.NO_VOLUME, "the repaired mesh is not closed")
+    hull = convex_hull(mesh.vertices)
+    if hull.is_empty() or thinnest(mesh.vertices) < _FLAT:
+        raise PrepareFailure(Status.NO_VOLUME, "all vertices lie in a plane")
+    if solid.volume() >= config.convex_ratio * hull.volume():
+        return Decomposition((_few_vertices(hull, config),), "convex", ())
+
+    simple = as_mesh(solid.simplify(config.simplify))
+    warnings = []
+    thin = solid.volume() / solid.surface_area() < config.thin_ratio
+    tries = (
+        (
+            "coacd",
+            config.thin_threshold if thin else config.threshold,
+            config.max_pieces,
+            config.cpu_seconds,
+        ),
+        (
+            "coacd_second",
+            config.second_threshold,
+            config.second_max_pieces,
+            config.second_cpu_seconds,
+        ),
+    )
+    for method, threshold, most, seconds in tries:
+        raw, reason = _run_coacd(simple, config, threshold, most, seconds)
+        pieces = _solid_pieces(raw, config)
+        if pieces:
+            return Decomposition(pieces, method, tuple(warnings))
+        warnings.append(f"{method} {reason or 'gave no piece with a volume'}")
+    warnings.append("replaced by its hull")
+    return Decomposition((_few_vertices(hull, config),), "hull", tuple(warnings))
+
+
+def _run_coacd(
+    mesh: TriangleMesh, config: ConvexConfig, threshold: float, most: int, seconds: int
+) -> tuple[list[NDArray[np.float64]], str]:
+    """Return the vertices of the raw pieces, or none and a reason."""
+    problem = _unsafe(mesh)
+    if problem:
+        return [], problem
+    options = {
+        "threshold": threshold,
+        "max_convex_hull": most,
+        "preprocess_mode": "off",
+        "resolution": config.resolution,
+        "mcts_nodes": config.mcts_nodes,
+        "mcts_iterations": config.mcts_iterations,
+        "mcts_max_depth": config.mcts_max_depth,
+        "decimate": True,
+        "max_ch_vertex": config.max_vertices,
+        "seed": 0,
+        "cpu_seconds": seconds,
+    }
+    buffer = io.BytesIO()
+    np.savez(
+        buffer, vertices=mesh.vertices, faces=mesh.faces, options=np.array(json.dumps(options))
+    )
+    command = [sys.executable, "-m", "bidexdata.objects.coacd_worker"]
+    # One thread: the pieces must not depend on the number of cores.
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    try:
+        done = subprocess.run(
+            command,
+            input=buffer.getvalue(),
+            capture_output=True,
+            timeout=_WALL_PER_CPU * seconds,
+            env=environment,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return [], f"did not end within {_WALL_PER_CPU * seconds:.0f} s"
+    if done.returncode != 0:
+        _log.debug("CoACD: %s", done.stderr.decode(errors="replace")[-2000:])
+        ended = "reached its limit" if done.returncode in (-24, -9) else "died"
+        return [], f"{ended} (limit {seconds} CPU s, exit status {done.returncode})"
+    answer = np.load(io.BytesIO(done.stdout), allow_pickle=False)
+    return [answer[f"v{k}"] for k in range(int(answer["count"]))], ""
+
+
+def _unsafe(mesh: TriangleMesh) -> str:
+    """Name what would make CoACD abort or hang; empty when the mesh is fit."""
+    if len(mesh.faces) < 4:
+        return "was given too few faces"
+    if not np.all(np.isfinite(mesh.vertices)):
+        return "was given vertices that are not finite"
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        return "was given face indices out of range"
+    return ""
+
+
+def _solid_pieces(raw: list[NDArray[np.float64]], config: ConvexConfig) -> tuple[TriangleMesh, ...]:
+    """Hull every raw piece and drop those too small for a simulator."""
+    hulls = [convex_hull(v) for v in raw if len(v) >= 4 and np.all(np.isfinite(v))]
+    hulls = [h for h in hulls if not h.is_empty() and h.volume() > 0]
+    total = sum(h.volume() for h in hulls)
+    kept = [h for h in hulls if h.volume() >= config.min_volume * total]
+    kept = [h for h in kept if thinnest(as_mesh(h).vertices) > _FLAT]
+    return tuple(_few_vertices(h, config) for h in kept)
+
+
+def _few_vertices(hull: Manifold, config: ConvexConfig) -> TriangleMesh:
+    """Bound the vertices of a convex body and keep its volume.
+
+    The kept vertices are its extremes along the axes and then, one by one, the vertex farthest
+    from those kept. The smaller body is blown up about its centre to the volume it had.
+    """
+    mesh = as_mesh(hull)
+    if len(mesh.vertices) <= config.max_vertices:
+        return mesh
+    kept = list(np.unique(np.concatenate([mesh.vertices.argmin(0), mesh.vertices.argmax(0)])))
+    nearest = np.min(
+        np.linalg.norm(mesh.vertices[:, None] - mesh.vertices[None, kept], axis=2), axis=1
+    )
+    while len(kept) < config.max_vertices:
+        farthest = int(np.argmax(nearest))
+        kept.append(farthest)
+        away = np.linalg.norm(mesh.vertices - mesh.vertices[farthest], axis=1)
+        nearest = np.minimum(nearest, away)
+    fewer = convex_hull(mesh.vertices[kept])
+    centre = mesh.vertices[kept].mean(axis=0)
+    grow = (hull.volume() / fewer.volume()) ** (1 / 3)
+    fewer = as_mesh(fewer)
+    return TriangleMesh(centre + grow * (fewer.vertices - centre), fewer.faces)

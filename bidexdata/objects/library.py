@@ -1,0 +1,195 @@
+"""Library: a folder of prepared objects and its index, one row per input."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bidexdata.config import canonical_json, fingerprint
+from bidexdata.errors import Contradiction, NotUsable, PathNotFound, UnknownName
+from bidexdata.objects.prepared import PreparedObject, Solid
+from bidexdata.objects.storage import OBJECT_FILES, SCHEMA_VERSION
+from bidexdata.objects.storage import read_object as read_object
+from bidexdata.objects.storage import read_solid as read_solid
+from bidexdata.objects.storage import write_object as write_object
+from bidexdata.objects.storage import write_solid as write_solid
+from bidexdata.record.status import Status
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+INDEX = "index.parquet"
+
+COLUMNS: tuple[tuple[str, str, str], ...] = (
+    ("source_name", "string", "the input's own name"),
+    ("object_id", "string", "identity of the object, also of one that failed"),
+    ("status", "int8", "0 = prepared, else why not (record.Status)"),
+    ("status_label", "string", "the same in a word"),
+    ("reason", "string", "the same in a sentence with figures"),
+    ("duplicate_of", "string", "object_id of the first input with the same bytes"),
+    ("source", "string", "collection or address"),
+    ("licence", "string", "licence of the source"),
+    ("author", "string", "author of the source"),
+    ("category", "string", "category"),
+    ("source_sha256", "string", "sha256 of the source bytes"),
+    ("source_bytes", "int64", "size of the source"),
+    ("source_faces", "int64", "faces in the source"),
+    ("source_diagonal", "float64", "box diagonal of the source in file units"),
+    ("repair", "string", "how the mesh was closed"),
+    ("hausdorff", "float64", "repaired mesh to source, fraction of the diagonal"),
+    ("piece_method", "string", "convex, coacd, coacd_second or hull"),
+    ("pieces", "int64", "number of convex pieces"),
+    ("volume", "float64", "volume of the solid at unit diagonal"),
+    ("volume_ratio", "float64", "solid to repaired mesh"),
+    ("solid_hausdorff", "float64", "solid to repaired mesh, fraction of the diagonal"),
+    ("rest_poses", "int64", "number of rest poses"),
+    ("warnings", "list<string>", "what a person should know"),
+    ("content_sha256", "string", "sha256 over the object's files"),
+)
+"""Columns of the index: name, type, meaning. A failed input has nulls where nothing is known."""
+
+
+class Library:
+    """A library on disk; objects are read when asked for.
+
+    Attributes:
+        path: Its folder.
+        index: One row per input of `prepare`, failures included (a pyarrow Table).
+        object_ids: The prepared objects, in the order of the index.
+    """
+
+    def __init__(self, path: Path, index: pa.Table):
+        self.path, self.index = path, index
+        good = [r for r in index.to_pylist() if r["status"] == Status.OK]
+        self._rows = {r["object_id"]: r for r in good}
+        self.object_ids: tuple[str, ...] = tuple(self._rows)
+
+    @classmethod
+    def open(cls, path: str | Path) -> Library:
+        """Open a library.
+
+        Raises:
+            PathNotFound: The folder does not exist.
+            NotUsable: It is no library, or `prepare` has not finished it.
+            Contradiction: Its index is damaged.
+        """
+        path = Path(path)
+        if not path.is_dir():
+            raise PathNotFound(path, "a library made by `bidexdata prepare`")
+        if not (path / INDEX).is_file():
+            hint = "run the same `bidexdata prepare` again to finish it"
+            what = f"an unfinished library; {hint}" if (path / "objects").is_dir() else "no library"
+            raise NotUsable(f"{path} has no {INDEX}: it is {what}")
+        return cls(path, _read_index(path / INDEX))
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of every object's identity and contents; equal libraries have equal ones."""
+        return fingerprint([[i, self._rows[i]["content_sha256"]] for i in sorted(self._rows)])
+
+    def row(self, object_id: str) -> dict[str, Any]:
+        """The index row of a prepared object.
+
+        Raises:
+            UnknownName: No prepared object is called so.
+        """
+        if object_id not in self._rows:
+            raise UnknownName("object in this library", object_id, self.object_ids[:20])
+        return self._rows[object_id]
+
+    def folder(self, object_id: str) -> Path:
+        """The folder of a prepared object."""
+        self.row(object_id)
+        return self.path / object_folder(object_id)
+
+    def load(self, object_id: str) -> PreparedObject:
+        """Read a prepared object.
+
+        Raises:
+            UnknownName: No prepared object is called so.
+            Contradiction: Its files are missing, damaged or not those of the index.
+        """
+        return read_object(self._checked(object_id))
+
+    def load_solid(self, object_id: str) -> Solid:
+        """Read what simulation, pictures and metrics need of an object.
+
+        Raises:
+            UnknownName: No prepared object is called so.
+            Contradiction: Its files are missing, damaged or not those of the index.
+        """
+        return read_solid(self._checked(object_id))
+
+    def _checked(self, object_id: str) -> Path:
+        folder = self.folder(object_id)
+        if content_sha256(folder) != self._rows[object_id]["content_sha256"]:
+            raise Contradiction(
+                f"{folder} is not what {self.path / INDEX} says (its sha256 differs); "
+                "delete the folder and run `bidexdata prepare` again"
+            )
+        return folder
+
+
+def object_folder(object_id: str) -> Path:
+    """Folder of an object relative to its library or release: `objects/<2 hex>/<object_id>`.
+
+    The two hex digits are the first of its hash.
+    """
+    return Path("objects") / object_id.rpartition("-")[2][:2] / object_id
+
+
+def content_sha256(folder: Path) -> str:
+    """Hash the names and contents of an object's files.
+
+    Raises:
+        Contradiction: One of them is missing.
+    """
+    digest = hashlib.sha256()
+    for name in OBJECT_FILES:
+        try:
+            data = (folder / name).read_bytes()
+        except OSError as err:
+            raise Contradiction(f"{folder / name} is missing or cannot be read") from err
+        digest.update(f"{name} {len(data)}\n".encode())
+        digest.update(data)
+    return digest.hexdigest()
+
+
+def write_index(library: Path, rows: Sequence[Mapping[str, Any]], config: Any) -> None:
+    """Write the index of a library, atomically and without anything that changes by itself."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    types = {
+        "string": pa.string(),
+        "int8": pa.int8(),
+        "int64": pa.int64(),
+        "float64": pa.float64(),
+        "list<string>": pa.list_(pa.string()),
+    }
+    fields = [
+        pa.field(name, types[kind], metadata={"description": text}) for name, kind, text in COLUMNS
+    ]
+    metadata = {"schema_version": SCHEMA_VERSION, "prepare_config": canonical_json(config)}
+    schema = pa.schema(fields, metadata=metadata)
+    plain = [{name: row.get(name) for name, _, _ in COLUMNS} for row in rows]
+    library.mkdir(parents=True, exist_ok=True)
+    partial = library / f".{INDEX}.partial"
+    pq.write_table(pa.Table.from_pylist(plain, schema=schema), partial, compression="zstd")
+    partial.replace(library / INDEX)
+
+
+def _read_index(path: Path) -> pa.Table:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path)
+    except (pa.ArrowException, OSError) as err:
+        raise Contradiction(f"{path} is damaged ({type(err).__name__})") from err
+    missing = [name for name, _, _ in COLUMNS if name not in table.column_names]
+    if missing:
+        raise Contradiction(f"{path} has no column {missing[0]!r}")
+    return table

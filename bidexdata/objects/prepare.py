@@ -1,0 +1,245 @@
+"""prepare_object: one mesh becomes the solid that every later stage sees.
+
+Read, repair, split into convex pieces; then everything is computed on the union of the pieces:
+mass, frame (origin at the centre of mass, unit box diagonal), surface points, signed distances,
+hull, rest poses.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bidexdata.errors import PathNotFound
+from bidexdata.objects.closed import as_manifold, as_mesh, convex_hull, union
+from bidexdata.objects.config import PrepareConfig
+from bidexdata.objects.convex import Decomposition, decompose
+from bidexdata.objects.deviation import hausdorff
+from bidexdata.objects.failure import PrepareFailure
+from bidexdata.objects.loading import LoadedMesh, load_mesh, unit_mesh
+from bidexdata.objects.physics import mass_properties, rest_poses
+from bidexdata.objects.prepared import PreparedObject, TriangleMesh
+from bidexdata.objects.repair import Repaired, repair
+from bidexdata.objects.sdf import signed_distance_grid
+from bidexdata.objects.sources import SourceItem
+from bidexdata.objects.sources.shapes import shape_bytes, shape_mesh
+from bidexdata.objects.surface import surface_points
+from bidexdata.record.status import Status
+
+_GENERIC = frozenset(
+    "mesh model object obj textured nontextured normalized simplified decomposed scene"
+    " coacd google_16k meshes visual collision tsdf poisson".split()
+)
+"""Names of files and folders that say nothing of the object; the folder above names it then."""
+
+
+def prepare_object(
+    source: str | Path | TriangleMesh | SourceItem, config: PrepareConfig | None = None
+) -> PreparedObject:
+    """Prepare one object.
+
+    Args:
+        source: A mesh file, `shapes:FAMILY` or `shapes:FAMILY/NUMBER`, triangles (any unit, z
+            up), or an item that `resolve_sources` listed.
+        config: Every tolerance and bound; the defaults when omitted.
+
+    Returns:
+        The object at unit diagonal. The same source and configuration give the same arrays.
+
+    Raises:
+        PrepareFailure: The source cannot become a solid; `.status` and `.reason` say why.
+        PathNotFound: A named file does not exist.
+
+    Example:
+        >>> obj = prepare_object("shapes:box")
+        >>> len(obj.pieces), len(obj.rest_heights)
+        (1, 6)
+    """
+    config = config or PrepareConfig()
+    item, data = _item_and_bytes(source)
+    if isinstance(source, TriangleMesh):
+        loaded = unit_mesh(source, config.load)
+    elif item.shape is not None:
+        loaded = unit_mesh(shape_mesh(item.shape), config.load, metres_per_unit=1.0)
+    else:
+        assert item.path is not None
+        loaded = load_mesh(item.path, data, config.load)
+    repaired = repair(loaded.mesh, config.repair)
+    split = decompose(repaired.mesh, config.convex)
+    solid = _solid_of(split.pieces)
+    provenance = _provenance(item, data, loaded, repaired, split, solid, config)
+    return _assembled(object_id_of(item, data), repaired, solid, provenance, config)
+
+
+def source_bytes(item: SourceItem) -> bytes:
+    """The bytes that identify an input: of its file, or of the recipe of a shape.
+
+    Raises:
+        PrepareFailure: The file does not exist or cannot be read.
+    """
+    if item.shape is not None:
+        return shape_bytes(item.shape)
+    assert item.path is not None
+    try:
+        return item.path.read_bytes()
+    except OSError as err:
+        reason = err.strerror or type(err).__name__
+        raise PrepareFailure(Status.UNREADABLE, f"{item.path.name}: {reason}") from err
+
+
+def object_id_of(item: SourceItem, data: bytes) -> str:
+    """Slug of the source's own name, `-`, first 8 hex digits of the sha256 of its bytes."""
+    if item.shape is not None:
+        name = item.shape.replace("/", "_")
+    else:
+        assert item.path is not None
+        parts = [item.path.stem, *reversed(Path(item.source_name).parent.parts)]
+        parts += list(reversed(item.path.resolve().parent.parts))
+        name = next((p for p in parts if p.lower() not in _GENERIC), item.path.stem)
+    slug = re.sub(r"[^a-z0-9_-]+", "-", name.lower()).strip("-")[:48] or "object"
+    return f"{slug}-{hashlib.sha256(data).hexdigest()[:8]}"
+
+
+class _UnitSolid(NamedTuple):
+    """The union of the pieces in the object frame, and how to get there from the loaded mesh."""
+
+    pieces: tuple[TriangleMesh, ...]
+    mesh: TriangleMesh
+    volume: float
+    inertia: NDArray[np.float64]
+    centre: NDArray[np.float64]
+    diagonal: float
+
+
+def _solid_of(pieces: tuple[TriangleMesh, ...]) -> _UnitSolid:
+    """Unite the pieces, move the centre of mass to the origin, scale the box diagonal to 1.
+
+    Positions are rounded to float32, which files and kernels use, before anything is computed
+    from them: what is read back is what was computed with.
+    """
+    whole = _united(pieces)
+    centre = mass_properties(whole).centre
+    diagonal = float(np.linalg.norm(np.ptp(whole.vertices, axis=0)))
+    moved = tuple(as_mesh(convex_hull(_rounded((p.vertices - centre) / diagonal))) for p in pieces)
+    mesh = _united(moved)
+    mesh = TriangleMesh(_rounded(mesh.vertices), mesh.faces)
+    mass = mass_properties(mesh)
+    return _UnitSolid(moved, mesh, mass.volume, mass.inertia, centre, diagonal)
+
+
+def _united(pieces: tuple[TriangleMesh, ...]) -> TriangleMesh:
+    parts = [as_manifold(p) for p in pieces]
+    whole = union([p for p in parts if p is not None])
+    if whole.is_empty() or whole.volume() <= 0:
+        raise PrepareFailure(Status.DECOMPOSITION_FAILED, "the union of the pieces is empty")
+    return as_mesh(whole)
+
+
+def _assembled(
+    object_id: str,
+    repaired: Repaired,
+    solid: _UnitSolid,
+    provenance: dict[str, Any],
+    config: PrepareConfig,
+) -> PreparedObject:
+    hull = as_mesh(convex_hull(solid.mesh.vertices))
+    rest = rest_poses(hull, config.rest)
+    points, normals = surface_points(solid.mesh, config.surface)
+    display = _display(repaired.mesh, config.repair.display_faces)
+    moved = _rounded((display.vertices - solid.centre) / solid.diagonal)
+    return PreparedObject(
+        object_id=object_id,
+        mesh=TriangleMesh(moved, display.faces),
+        pieces=solid.pieces,
+        volume=solid.volume,
+        inertia=solid.inertia,
+        rest_quats_wxyz=rest.quats_wxyz,
+        rest_heights=rest.heights,
+        rest_probabilities=rest.probabilities,
+        provenance=provenance,
+        solid=solid.mesh,
+        hull=hull,
+        surface_points=points,
+        surface_normals=normals,
+        sdf=signed_distance_grid(solid.mesh, solid.pieces, config.sdf),
+    )
+
+
+def _display(mesh: TriangleMesh, most: int) -> TriangleMesh:
+    """Simplify a mesh until it has at most about `most` faces."""
+    tolerance = 1e-4
+    while len(mesh.faces) > most and tolerance < 0.02:
+        solid = as_manifold(mesh)
+        if solid is None:
+            break
+        mesh = as_mesh(solid.simplify(tolerance))
+        tolerance *= 2
+    return mesh
+
+
+def _provenance(
+    item: SourceItem,
+    data: bytes,
+    loaded: LoadedMesh,
+    repaired: Repaired,
+    split: Decomposition,
+    solid: _UnitSolid,
+    config: PrepareConfig,
+) -> dict[str, Any]:
+    """Where the object is from, what was done to it, and how far that moved its surface."""
+    volume = mass_properties(repaired.mesh).volume
+    samples = config.repair.hausdorff_samples
+    in_file = loaded.centre + loaded.diagonal * solid.centre
+    moved = TriangleMesh(solid.mesh.vertices * solid.diagonal + solid.centre, solid.mesh.faces)
+    metres = loaded.metres_per_unit
+    return {
+        "source_name": item.source_name,
+        "source": item.source,
+        "licence": item.licence,
+        "author": item.author,
+        "category": item.category,
+        "source_sha256": hashlib.sha256(data).hexdigest(),
+        "source_bytes": len(data),
+        "source_faces": len(loaded.mesh.faces),
+        "source_diagonal": loaded.diagonal,
+        "source_metres_per_unit": metres,
+        # x_file = origin_in_file + unit_in_file * x_object, after the turn to z up.
+        "origin_in_file": [float(x) for x in in_file],
+        "unit_in_file": loaded.diagonal * solid.diagonal,
+        "repair": repaired.method,
+        "hausdorff": hausdorff(repaired.mesh, loaded.mesh, samples),
+        "piece_method": split.method,
+        "pieces": len(split.pieces),
+        "volume_ratio": solid.volume * solid.diagonal**3 / volume,
+        "solid_hausdorff": hausdorff(moved, repaired.mesh, samples),
+        "warnings": [*loaded.warnings, *repaired.warnings, *split.warnings],
+    }
+
+
+def _item_and_bytes(source: str | Path | TriangleMesh | SourceItem) -> tuple[SourceItem, bytes]:
+    if isinstance(source, TriangleMesh):
+        data = np.ascontiguousarray(source.vertices, "<f8").tobytes()
+        data += np.ascontiguousarray(source.faces, "<i4").tobytes()
+        return SourceItem(source_name="triangles", path=Path("triangles")), data
+    if isinstance(source, SourceItem):
+        return source, source_bytes(source)
+    text = str(source)
+    if text.startswith("shapes:") and not Path(text).exists():
+        from bidexdata.objects.sources.shapes import named_shape
+
+        item = named_shape(text.removeprefix("shapes:"))
+    else:
+        path = Path(source)
+        if not path.is_file():
+            raise PathNotFound(path, "a mesh file or shapes:FAMILY")
+        item = SourceItem(source_name=path.name, path=path)
+    return item, source_bytes(item)
+
+
+def _rounded(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return points.astype(np.float32).astype(np.float64)

@@ -1,0 +1,83 @@
+"""Mesh files named by themselves, by a folder or by a glob."""
+
+from __future__ import annotations
+
+import glob
+import os
+from dataclasses import replace
+from pathlib import Path
+
+from bidexdata.errors import PathNotFound
+from bidexdata.objects.loading import SUFFIXES
+from bidexdata.objects.sources.item import SourceItem
+from bidexdata.objects.sources.lists import SIDE_LIST, side_list
+
+
+def file_items(path: Path) -> list[SourceItem]:
+    """One named file.
+
+    Raises:
+        PathNotFound: It does not exist.
+    """
+    if not path.is_file():
+        raise PathNotFound(path, f"a mesh file ({', '.join(SUFFIXES)}), a folder, a glob or a list")
+    return _described([SourceItem(source_name=path.name, path=path)], path.parent)
+
+
+def folder_items(folder: Path) -> list[SourceItem]:
+    """All mesh files below a folder, in byte order of their relative paths.
+
+    Licences and categories come from `INDEX.csv` in the folder or beside it, if there is one.
+
+    Raises:
+        PathNotFound: No mesh file is below it.
+    """
+    found = []
+    for root, folders, names in os.walk(folder):
+        folders.sort()
+        found += [Path(root, name) for name in names if _is_mesh(name)]
+    if not found:
+        raise PathNotFound(folder, f"mesh files in it ({', '.join(SUFFIXES)})")
+    items = [SourceItem(source_name=p.relative_to(folder).as_posix(), path=p) for p in found]
+    return _described(sorted(items, key=_byte_order), folder)
+
+
+def glob_items(pattern: str) -> list[SourceItem]:
+    """All mesh files that match a glob (`**` for any depth), in byte order of their paths.
+
+    Raises:
+        PathNotFound: Nothing matches.
+    """
+    found = [Path(p) for p in glob.glob(pattern, recursive=True) if _is_mesh(p)]
+    found = [p for p in found if p.is_file()]
+    if not found:
+        raise PathNotFound(pattern, f"matching mesh files ({', '.join(SUFFIXES)})")
+    items = [SourceItem(source_name=p.as_posix(), path=p) for p in found]
+    items.sort(key=_byte_order)
+    return [_described([item], item.path.parent)[0] for item in items if item.path]
+
+
+def _described(items: list[SourceItem], folder: Path) -> list[SourceItem]:
+    """Add what an `INDEX.csv` in the folder or beside it says of the files."""
+    for place in (folder, folder.resolve().parent):
+        if (place / SIDE_LIST).is_file():
+            known = side_list(place / SIDE_LIST)
+            return [_with_origin(item, known, place) for item in items]
+    return items
+
+
+def _with_origin(item: SourceItem, known: dict[str, dict[str, str]], place: Path) -> SourceItem:
+    assert item.path is not None
+    inside = os.path.relpath(item.path.resolve(), place.resolve())
+    names = (Path(inside).as_posix(), item.source_name, item.path.name)
+    row = next((known[name] for name in names if name in known), None)
+    return replace(item, **row) if row else item
+
+
+def _is_mesh(name: str) -> bool:
+    base = os.path.basename(name)
+    return base.lower().endswith(SUFFIXES) and not base.startswith(".")
+
+
+def _byte_order(item: SourceItem) -> bytes:
+    return os.fsencode(item.source_name)

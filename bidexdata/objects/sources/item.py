@@ -1,0 +1,27 @@
+"""SourceItem: one input of `prepare`, before anything of it has been read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+UNKNOWN = "unknown"
+"""Licence, author or source that nobody stated."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SourceItem:
+    """One mesh file or one built-in shape, and what is known of its origin."""
+
+    source_name: str
+    """The original name: the path relative to the named folder, or `shapes:box/2`."""
+    path: Path | None = None
+    """The mesh file; None for a built-in shape."""
+    shape: str | None = None
+    """Name of a built-in shape, `family/number`; None for a file."""
+    source: str = UNKNOWN
+    """Collection or address that the object is from."""
+    licence: str = UNKNOWN
+    """SPDX identifier where one exists."""
+    author: str = UNKNOWN
+    category: str = UNKNOWN

@@ -1,0 +1,64 @@
+"""List files: which meshes, and where each comes from."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+from bidexdata.errors import NotUsable
+from bidexdata.objects.sources.item import SourceItem
+
+SIDE_LIST = "INDEX.csv"
+"""Name of a list that describes the files of a folder in which or beside which it lies."""
+_COLUMNS = ("source", "licence", "author", "category")
+_SPELLINGS = {"license": "licence", "path": "file", "filename": "file"}
+
+
+def list_items(path: Path) -> list[SourceItem]:
+    """Inputs named by a `.txt` (a path per line, `#` comments) or `.csv` list.
+
+    Paths are relative to the list's folder. A listed file that does not exist stays in the list
+    and becomes a report row.
+
+    Raises:
+        NotUsable: The list is no text, names nothing, or a `.csv` has no column `file`.
+    """
+    if path.suffix.lower() == ".csv":
+        rows = _rows(path)
+    else:
+        lines = (line.split(" #")[0].strip() for line in _text(path).splitlines())
+        rows = [("file", line) for line in lines if line and not line.startswith("#")]
+        rows = [dict([row]) for row in rows]
+    if not rows:
+        raise NotUsable(f"{path}: the list names no file")
+    return [
+        SourceItem(source_name=row["file"], path=path.parent / row["file"], **_origin(row))
+        for row in rows
+    ]
+
+
+def side_list(path: Path) -> dict[str, dict[str, str]]:
+    """Origin of each file that a `.csv` list names, by the name it uses."""
+    return {row["file"]: _origin(row) for row in _rows(path)}
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    reader = csv.DictReader(io.StringIO(_text(path), newline=""))
+    names = [_SPELLINGS.get(n.strip().lower(), n.strip().lower()) for n in reader.fieldnames or []]
+    if "file" not in names:
+        raise NotUsable(f"{path}: a list needs a column `file`; it has: {', '.join(names)}")
+    reader.fieldnames = names
+    rows = ({k: (v or "").strip() for k, v in row.items() if k in names} for row in reader)
+    return [row for row in rows if row["file"]]
+
+
+def _origin(row: dict[str, str]) -> dict[str, str]:
+    return {name: row[name] for name in _COLUMNS if row.get(name)}
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as err:
+        raise NotUsable(f"{path}: not a text file in UTF-8 ({err.reason})") from err

@@ -1,0 +1,56 @@
+"""Turn the SOURCE arguments of `prepare` into a list of inputs."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Sequence
+from pathlib import Path
+
+from bidexdata.errors import UnknownName
+from bidexdata.objects.sources.files import file_items, folder_items, glob_items
+from bidexdata.objects.sources.item import SourceItem
+from bidexdata.objects.sources.lists import list_items
+from bidexdata.objects.sources.shapes import shape_items
+
+_ADAPTERS = {"shapes": shape_items}
+_LISTS = (".txt", ".csv")
+
+
+def resolve_sources(sources: Sequence[str]) -> list[SourceItem]:
+    """List the inputs that the sources name, in order, without reading a mesh.
+
+    A source is a mesh file, a folder (searched recursively), a glob, a list file (`.txt` with a
+    path per line; `.csv` with a column `file` and, if present, `source`, `licence`, `author`,
+    `category`), or `shapes[:FAMILY,...]`. Files of one source come in byte order of their paths;
+    a path that two sources name comes once.
+
+    Raises:
+        PathNotFound: A path does not exist, or a glob or folder holds no mesh file.
+        UnknownName: A prefix or a family of shapes does not exist.
+    """
+    items: list[SourceItem] = []
+    seen: set[tuple[Path | None, str | None]] = set()
+    for source in sources:
+        for item in _items_of(source):
+            key = (item.path.resolve() if item.path else None, item.shape)
+            if key not in seen:
+                seen.add(key)
+                items.append(item)
+    return items
+
+
+def _items_of(source: str) -> list[SourceItem]:
+    prefix, colon, rest = source.partition(":")
+    if prefix in _ADAPTERS and not Path(source).exists():
+        return _ADAPTERS[prefix](rest)
+    path = Path(source)
+    if path.is_dir():
+        return folder_items(path)
+    if path.is_file():
+        return list_items(path) if path.suffix.lower() in _LISTS else file_items(path)
+    if glob.has_magic(source):
+        return glob_items(source)
+    # One letter before the colon is a drive, not an adapter.
+    if colon and prefix.isalnum() and len(prefix) > 1:
+        raise UnknownName("source", prefix, _ADAPTERS, "write a path, a glob or shapes[:FAMILY]")
+    return file_items(path)

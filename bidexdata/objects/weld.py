@@ -1,0 +1,36 @@
+"""Welding: vertices at one place become one vertex, triangles that collapse by it go."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bidexdata.objects.prepared import TriangleMesh
+
+
+def weld(mesh: TriangleMesh, tolerance: float) -> TriangleMesh:
+    """Merge vertices closer than `tolerance` and drop faces that lose a corner by it.
+
+    A face that collapses to an edge leaves its two neighbours matching, so a closed mesh stays
+    closed; faces without area but with three corners are kept for the same reason.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    vertices, number = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    number = number.reshape(-1)
+    pairs = cKDTree(vertices).query_pairs(tolerance, output_type="ndarray")
+    if len(pairs):
+        links = coo_matrix(
+            (np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(vertices),) * 2
+        )
+        count, group = connected_components(links, directed=False)
+        # Each group takes its first vertex: positions of the file, never averages.
+        first = np.full(count, len(vertices))
+        np.minimum.at(first, group, np.arange(len(vertices)))
+        vertices, number = vertices[first], group[number]
+    faces = number[mesh.faces]
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    used, faces = np.unique(faces, return_inverse=True)
+    return TriangleMesh(vertices[used], faces.reshape(-1, 3).astype(np.int32))

@@ -1,0 +1,294 @@
+"""The stage `prepare`: sources to a library, one worker process and one report row per input.
+
+An object's folder is written whole or not at all, so a killed command resumes where it stopped.
+The index is written at the end, in the order of the inputs, whatever the order of completion:
+the same inputs and configuration give the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+import shutil
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bidexdata.config import differing_keys, to_plain
+from bidexdata.errors import ConfigConflict, Contradiction, NotUsable
+from bidexdata.objects.config import PrepareConfig
+from bidexdata.objects.failure import PrepareFailure
+from bidexdata.objects.library import INDEX, Library, content_sha256, object_folder, write_index
+from bidexdata.objects.prepare import object_id_of, prepare_object, source_bytes
+from bidexdata.objects.sources import SourceItem, resolve_sources
+from bidexdata.objects.storage import read_document, write_object
+from bidexdata.record.status import Status
+from bidexdata.runs.executors import TaskFailure, run_tasks
+from bidexdata.runs.progress import Progress
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class PrepareTask:
+    """One input that has to be prepared: all that its worker needs."""
+
+    item: SourceItem
+    object_id: str
+    sha256: str
+    library: Path
+    config: PrepareConfig
+
+
+@dataclass(frozen=True, slots=True)
+class PrepareReport:
+    """What became of the inputs."""
+
+    library: Path
+    rows: tuple[Row, ...]
+    """One per input, in order (the rows of the index); for a dry run only names and ids."""
+    resumed: int
+    """Objects that were complete before."""
+    seconds: float
+    """Wall-clock time."""
+    fingerprint: str
+    """Of the library; empty for a dry run."""
+
+    @property
+    def by_status(self) -> dict[str, int]:
+        """Number of inputs per status label."""
+        return dict(sorted(Counter(Status(r["status"]).label for r in self.rows).items()))
+
+    @property
+    def prepared(self) -> int:
+        """Number of prepared objects."""
+        return sum(r["status"] == Status.OK for r in self.rows)
+
+    @property
+    def hulls(self) -> int:
+        """Number of prepared objects that had to be replaced by their hull."""
+        return sum(r.get("piece_method") == "hull" for r in self.rows)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Figures for `--json`."""
+        return {
+            "library": str(self.library),
+            "inputs": len(self.rows),
+            "prepared": self.prepared,
+            "hulls": self.hulls,
+            "resumed": self.resumed,
+            "by_status": self.by_status,
+            "seconds": round(self.seconds, 3),
+            "fingerprint": self.fingerprint,
+        }
+
+
+def prepare_library(
+    sources: Sequence[str],
+    out: Path,
+    config: PrepareConfig | None = None,
+    *,
+    limit: int | None = None,
+    dry_run: bool = False,
+    executor: str = "processes",
+    workers: int = 0,
+    quiet: bool = False,
+) -> PrepareReport:
+    """Prepare the objects that the sources name and write the library.
+
+    Args:
+        sources: Files, folders, globs, list files, `shapes[:FAMILY]`.
+        out: Folder of the library; complete objects in it are kept.
+        config: Every tolerance and bound.
+        limit: Only the first so many inputs.
+        dry_run: List the inputs and write nothing.
+        executor: `processes`, `inline` (no limits of memory and time) or `ray`.
+        workers: Number of workers; 0 means one per core.
+        quiet: Show no progress.
+
+    Raises:
+        PathNotFound: A source does not exist.
+        ConfigConflict: The folder holds objects that were made with another configuration.
+    """
+    config = config or PrepareConfig()
+    start = time.monotonic()
+    items = resolve_sources(sources)[: None if limit is None else max(limit, 0)]
+    _check_out(out, config)
+    rows, tasks = _plan(items, out, config)
+    if dry_run:
+        return PrepareReport(out, tuple(rows), 0, time.monotonic() - start, "")
+
+    to_do = {n: t for n, t in tasks.items() if not _complete(t)}
+    _remove_partials(out)
+    with Progress(len(items), "objects", quiet, already=len(items) - len(to_do)) as progress:
+        for task, result in _run(list(to_do.values()), config, executor, workers):
+            failed = result.get("status", Status.OK) != Status.OK
+            if failed:
+                progress.write(f"{task.item.source_name}: {result['reason']}")
+            rows[_number(to_do, task)].update(result)
+            progress.advance(note=task.object_id)
+    for number, task in tasks.items():
+        if rows[number]["status"] == Status.OK:
+            rows[number].update(_row_from_disk(task))
+    write_index(out, rows, _identity(config))
+    library = Library.open(out)
+    resumed = len(tasks) - len(to_do)
+    return PrepareReport(out, tuple(rows), resumed, time.monotonic() - start, library.fingerprint)
+
+
+def prepare_one(task: PrepareTask) -> Row:
+    """Prepare one input and write its folder: the work of a task.
+
+    Returns:
+        The columns that are known here: status and reason, empty when everything succeeded.
+    """
+    _limit_memory(task.config.limits.memory_gib)
+    try:
+        obj = prepare_object(task.item, task.config)
+    except PrepareFailure as failure:
+        return _failed(failure.status, failure.reason)
+    except MemoryError:
+        bound = task.config.limits.memory_gib
+        return _failed(Status.TOO_COMPLEX, f"needs more than limits.memory_gib = {bound:g} GiB")
+    folder = task.library / object_folder(task.object_id)
+    write_object(folder, obj, _identity(task.config))
+    return {}
+
+
+def _plan(
+    items: Sequence[SourceItem], out: Path, config: PrepareConfig
+) -> tuple[list[Row], dict[int, PrepareTask]]:
+    """One row per input, and a task for each that is not a duplicate or unreadable."""
+    rows: list[Row] = []
+    tasks: dict[int, PrepareTask] = {}
+    first: dict[str, str] = {}
+    for number, item in enumerate(items):
+        row: Row = {
+            "source_name": item.source_name,
+            "source": item.source,
+            "licence": item.licence,
+            "author": item.author,
+            "category": item.category,
+            "warnings": [],
+            **_failed(Status.OK, ""),
+        }
+        rows.append(row)
+        try:
+            data = source_bytes(item)
+        except PrepareFailure as failure:
+            row.update(_failed(failure.status, failure.reason))
+            continue
+        sha256, object_id = hashlib.sha256(data).hexdigest(), object_id_of(item, data)
+        row.update(object_id=object_id, source_sha256=sha256, source_bytes=len(data))
+        if sha256 in first:
+            row.update(_failed(Status.DUPLICATE, f"same bytes as {first[sha256]}"))
+            row["duplicate_of"] = first[sha256]
+            continue
+        first[sha256] = object_id
+        tasks[number] = PrepareTask(item, object_id, sha256, out.resolve(), config)
+    return rows, tasks
+
+
+def _run(
+    tasks: Sequence[PrepareTask], config: PrepareConfig, executor: str, workers: int
+) -> Iterator[tuple[PrepareTask, Row]]:
+    """Run the tasks; whatever a worker dies of becomes a row."""
+    wall = config.limits.wall_seconds
+    done = run_tasks(tasks, prepare_one, executor=executor, workers=workers, timeout=wall)
+    for task, result in done:
+        if not isinstance(result, TaskFailure):
+            yield task, result
+        elif result.kind == "timeout":
+            yield task, _failed(Status.TIMED_OUT, f"took longer than {wall:g} s")
+        else:
+            yield task, _failed(Status.CRASHED, result.reason)
+
+
+def _number(tasks: dict[int, PrepareTask], task: PrepareTask) -> int:
+    return next(n for n, t in tasks.items() if t.object_id == task.object_id)
+
+
+def _failed(status: Status, reason: str) -> Row:
+    text = reason and f"{status.sentence}: {reason}"
+    return {"status": int(status), "status_label": status.label, "reason": text}
+
+
+def _row_from_disk(task: PrepareTask) -> Row:
+    """Columns of a prepared object, from its folder: the same whether made now or before."""
+    folder = task.library / object_folder(task.object_id)
+    document = read_document(folder)
+    known = document["provenance"]
+    names = (
+        *("source_faces", "source_diagonal", "repair", "hausdorff", "piece_method", "pieces"),
+        *("volume_ratio", "solid_hausdorff", "warnings"),
+    )
+    return {
+        **{name: known[name] for name in names},
+        "volume": document["volume"],
+        "rest_poses": len(document["rest_heights"]),
+        "content_sha256": content_sha256(folder),
+    }
+
+
+def _complete(task: PrepareTask) -> bool:
+    """Tell whether the object's folder is there and was made from these bytes."""
+    folder = task.library / object_folder(task.object_id)
+    if not folder.is_dir():
+        return False
+    try:
+        document = read_document(folder)
+        content_sha256(folder)
+    except Contradiction:
+        return False
+    return document["provenance"]["source_sha256"] == task.sha256
+
+
+def _check_out(out: Path, config: PrepareConfig) -> None:
+    """Refuse a folder that holds something else or was made with another configuration."""
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise NotUsable(f"{out} is a file; --out needs a folder")
+    foreign = [p.name for p in out.iterdir() if not p.name.startswith(".")]
+    if foreign and not {INDEX, "objects"} & set(foreign):
+        raise NotUsable(f"{out} is not empty and not a library (it holds {sorted(foreign)[0]})")
+    known = next((out / "objects").glob("*/*/object.json"), None)
+    if known is None:
+        return
+    before, now = read_document(known.parent).get("config"), _identity(config)
+    if before is not None and before != now:
+        raise ConfigConflict(out, differing_keys(before, now))
+
+
+def _identity(config: PrepareConfig) -> dict[str, Any]:
+    """The configuration that decides bytes: limits only decide whether there are any."""
+    plain = to_plain(config)
+    del plain["limits"]
+    return plain
+
+
+def _remove_partials(out: Path) -> None:
+    """Remove what killed workers left half written."""
+    for partial in out.glob("objects/*/.*.partial"):
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _limit_memory(gib: float) -> None:
+    """Bound the address space of a worker process; never that of the caller's own process."""
+    if multiprocessing.parent_process() is None:
+        return
+    # A CUDA driver reserves far more address space than it uses, and nothing here runs on it.
+    os.environ.setdefault("CUDA_VISIBLE_DEVICES", "")
+    try:
+        import resource
+    except ImportError:  # Windows: only the time limit holds
+        return
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    wanted = int(gib * 2**30)
+    if hard != resource.RLIM_INFINITY:
+        wanted = min(wanted, hard)
+    resource.setrlimit(resource.RLIMIT_AS, (wanted, hard))
