@@ -1,0 +1,111 @@
+"""Whole pictures: one grasp, the same grasp at several stages, one object."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bidexdata.hands.model import Hand
+from bidexdata.objects.prepared import Solid
+from bidexdata.pictures.camera import framed
+from bidexdata.pictures.drawing import Surface, grasp_parts, solid_parts
+from bidexdata.pictures.raycast import raycast
+from bidexdata.pictures.scene import Part
+from bidexdata.pictures.views import choose_views, subject_points
+from bidexdata.record import GraspBatch
+
+Pixels = NDArray[np.uint8]
+_GAP = 4  # white pixels between two views
+
+
+def drawn_by(device: str = "cpu") -> str:
+    """Say what drew a picture."""
+    from importlib.metadata import version
+
+    return f"drawn by Warp {version('warp-lang')} ray casting on {device}"
+
+
+def draw_grasp(
+    batch: GraspBatch,
+    row: int,
+    solid: Solid,
+    hands: Sequence[Hand],
+    *,
+    stage: str | float = "grasp",
+    views: int = 1,
+    width: int = 360,
+    height: int = 270,
+    surface: Surface = "mesh",
+    contacts: bool = True,
+    device: str = "cpu",
+) -> Pixels:
+    """Draw one grasp from where both hands are seen best.
+
+    Args:
+        batch: Rows with identity and pose columns; contact columns are shown where present.
+        row: Which row.
+        solid: Its object, at unit diagonal.
+        hands: In the order of the batch's H axis.
+        stage: Name of a stage, or a moment between 0 and 2.
+        views: Pictures side by side, from directions at least 60 degrees apart.
+        width: Pixels of one view.
+        height: Pixels.
+        surface: The object's display mesh, or its convex pieces, each in its own colour.
+        contacts: Mark contact points and outward normals.
+        device: A Warp device.
+
+    Returns:
+        sRGB pixels, (height, views * (width + 4) - 4, 3).
+    """
+    parts = grasp_parts(batch, row, solid, hands, stage=stage, surface=surface, contacts=contacts)
+    return _side_by_side(parts, views, width, height, device)
+
+
+def draw_stages(
+    batch: GraspBatch,
+    row: int,
+    solid: Solid,
+    hands: Sequence[Hand],
+    stages: Sequence[str | float],
+    *,
+    width: int = 360,
+    height: int = 270,
+    surface: Surface = "mesh",
+    device: str = "cpu",
+) -> list[Pixels]:
+    """Draw one grasp at several moments with the camera standing still."""
+    shown = [grasp_parts(batch, row, solid, hands, stage=s, surface=surface) for s in stages]
+    direction = choose_views(shown[len(shown) // 2], device=device)[0]
+    everything = np.concatenate([subject_points(parts) for parts in shown])
+    camera = framed(everything, direction, width / height)
+    return [raycast(parts, camera, width, height, device=device) for parts in shown]
+
+
+def draw_object(
+    solid: Solid,
+    *,
+    size: float = 1.0,
+    width: int = 360,
+    height: int = 270,
+    surface: Surface = "pieces",
+    device: str = "cpu",
+) -> Pixels:
+    """Draw an object alone from the right front, above; its pieces each in their own colour."""
+    return _side_by_side(solid_parts(solid, size, surface=surface), 1, width, height, device)
+
+
+def _side_by_side(
+    parts: Sequence[Part], views: int, width: int, height: int, device: str
+) -> Pixels:
+    points = subject_points(parts)
+    drawn = [
+        raycast(parts, framed(points, d, width / height), width, height, device=device)
+        for d in choose_views(parts, views, device=device)
+    ]
+    strip = np.full((height, _GAP, 3), 255, np.uint8)
+    joined = [drawn[0]]
+    for pixels in drawn[1:]:
+        joined += [strip, pixels]
+    return np.concatenate(joined, axis=1)

@@ -1,0 +1,137 @@
+"""Contact sheets: pictures in a grid, each with a caption, and a line that says what drew them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+    from PIL.ImageFont import FreeTypeFont, ImageFont
+
+Pixels = NDArray[np.uint8]
+
+PAPER = (250, 250, 250)
+INK = (35, 38, 42)
+FAINT = (110, 114, 120)
+GOOD = (24, 128, 72)
+BAD = (190, 40, 36)
+TEXT = 13
+TITLE = 19
+GAP = 10
+FRAME_MS = 110
+"""Time that one picture of an animation stays [ms]."""
+
+
+class Caption(NamedTuple):
+    """Words under a picture."""
+
+    head: str
+    lines: tuple[str, ...] = ()
+    good: bool | None = None
+    """Colours the last line: passed, failed, or neither."""
+
+
+class Tile(NamedTuple):
+    """One picture of a sheet with its words."""
+
+    pixels: Pixels
+    """(h, w, 3)."""
+    caption: Caption
+
+
+def contact_sheet(
+    tiles: Sequence[Tile], *, title: str, footer: str, columns: int | None = None
+) -> Image:
+    """Lay tiles out in rows under a title.
+
+    Args:
+        tiles: Pictures of one size.
+        title: One line at the top.
+        footer: One line at the bottom: what drew the pictures, and from what.
+        columns: Pictures per row; a landscape sheet when omitted.
+    """
+    from PIL import Image, ImageDraw
+
+    height, width = tiles[0].pixels.shape[:2] if tiles else (0, 320)
+    columns = max(1, min(columns or default_columns(len(tiles)), max(len(tiles), 1)))
+    lines = max((1 + len(t.caption.lines) for t in tiles), default=0)
+    step = TEXT + 4
+    cell = height + lines * step + 2 * GAP
+    rows = -(-len(tiles) // columns)
+    size = (
+        columns * (width + GAP) + GAP,
+        2 * GAP + TITLE + rows * cell + step + 2 * GAP,
+    )
+    sheet = Image.new("RGB", size, PAPER)
+    draw = ImageDraw.Draw(sheet)
+    inside = size[0] - 2 * GAP
+    draw.text((GAP, GAP), fitted(title, inside, TITLE), INK, _font(TITLE))
+    for k, tile in enumerate(tiles):
+        x = GAP + (k % columns) * (width + GAP)
+        y = 2 * GAP + TITLE + (k // columns) * cell + GAP // 2
+        sheet.paste(Image.fromarray(tile.pixels), (x, y))
+        y += height + 4
+        for number, line in enumerate((tile.caption.head, *tile.caption.lines)):
+            last = number == len(tile.caption.lines)
+            colour = _ink(number, tile.caption.good if last else None)
+            draw.text((x, y), fitted(line, width, TEXT), colour, _font(TEXT))
+            y += step
+    foot = (GAP, size[1] - step - GAP // 2)
+    draw.text(foot, fitted(footer, inside, TEXT), FAINT, _font(TEXT))
+    return sheet
+
+
+def default_columns(count: int) -> int:
+    """Pictures per row that make a sheet a little wider than high."""
+    return max(1, int(np.ceil(np.sqrt(1.2 * count))))
+
+
+def fitted(text: str, width: int, size: int) -> str:
+    """Shorten a line in its middle until it is at most `width` pixels wide."""
+    font = _font(size)
+    if font.getlength(text) <= width:
+        return text
+    kept = len(text)
+    while kept > 1:
+        kept -= 1
+        head, tail = (kept + 1) // 2, kept // 2
+        short = f"{text[:head]}…{text[len(text) - tail :]}"
+        if font.getlength(short) <= width:
+            return short
+    return "…"
+
+
+def save_picture(image: Image, path: Path) -> None:
+    """Write one picture; the file's ending says how. The same picture gives the same bytes."""
+    image.save(path)
+
+
+def save_animation(frames: Sequence[Image], path: Path) -> None:
+    """Write pictures that follow each other as an animated GIF or PNG, repeating for ever."""
+    first, rest = frames[0], list(frames[1:])
+    if path.suffix.lower() == ".gif":
+        from PIL import Image
+
+        # One palette for all frames: colours that jump between frames flicker.
+        palette = first.quantize(255, method=Image.Quantize.MEDIANCUT)
+        indexed = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
+        first, rest = indexed[0], indexed[1:]
+    first.save(path, save_all=True, append_images=rest, duration=FRAME_MS, loop=0)
+
+
+def _ink(number: int, good: bool | None) -> tuple[int, int, int]:
+    if good is not None:
+        return GOOD if good else BAD
+    return INK if number == 0 else FAINT
+
+
+def _font(size: int) -> FreeTypeFont | ImageFont:
+    # Pillow's built-in font, so that a bare machine needs no font files.
+    from PIL.ImageFont import load_default
+
+    return load_default(size)
