@@ -1,0 +1,184 @@
+"""Region pairs: where on the object the two hands may grasp with a chance to hold it.
+
+Everything is metric, in the object frame. Anchors are the object's first farthest-point samples; a
+region is what a hand can reach around its anchor. Pairs that are far enough apart and accessible
+are scored by what ten contacts on them could resist.
+
+Source: BiDexGrasp 4.2 and appendix B. The torque score is ours: positions do not enter the paper's
+score, so it cannot tell facing regions from shifted ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bidexdata import frames
+from bidexdata.errors import BadConfig
+from bidexdata.objects.prepared import PreparedObject
+from bidexdata.record.scene import Scene
+from bidexdata.synthesis.regions_build import accessible_anchors, build_regions, flatness
+from bidexdata.synthesis.regions_gap import PairFilter
+from bidexdata.synthesis.regions_rank import diverse, force_order, random_order, torque_order
+from bidexdata.wrench.qp import QPConfig
+
+
+def _qp() -> QPConfig:
+    return QPConfig()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RegionConfig:
+    """Which regions are made, which pairs are allowed and how they are ranked.
+
+    "Prototype" is our own measurement on 13 meshes at three sizes; lengths given there as shares of
+    the longest side of the bounding box are shares of the longest side here too.
+    """
+
+    anchors: int = 200
+    """Regions per object. Paper 4.2, K_a."""
+    radius: float = 0.08
+    """Farthest point of a region from its anchor [m]. Paper 4.2."""
+    points: int = 256
+    """Points per region. Paper 4.2, k."""
+    contacts: int = 5
+    """Contacts drawn per region for the score. Paper 4.2, N."""
+    same_side: float = -0.2
+    """Points whose normal has a smaller cosine with the anchor's normal belong to the other sheet
+    of a thin wall and are left out [-]. Prototype."""
+    gap: float = 0.05
+    """Least distance between the points of two regions [m]. Paper, appendix B, tau_2."""
+    wide: float = 0.55
+    """Anchors this far apart are accepted whatever the gap, so that small objects have pairs; share
+    of the object's longest side [-]. Prototype; on objects over 0.38 m it changes nothing."""
+    depth: float = 0.03
+    """Deepest accessible anchor below the convex hull [m]. Prototype."""
+    facing: float = 0.6
+    """Least cosine between a region's mean normal and the hull's normal [-]. Prototype."""
+    least_accessible: int = 40
+    """If fewer anchors are accessible, these many closest to the hull are taken. Prototype."""
+    score: Literal["random", "force", "torque"] = "torque"
+    """`force`: the paper's score. `torque`: those best by force and as many random ones, ranked by
+    the residual of the coupled contact QP, torques included. Success of unselected grasps
+    (prototype 3.1): random 45, force 67, torque 86 %."""
+    force_friction: float = 0.3
+    """Friction coefficient of the force score [-]. Prototype; the paper gives none."""
+    reranked: int = 400
+    """Pairs best by force, and as many random ones, that the torque score ranks. Prototype."""
+    iterations: int = 40
+    """QP steps per pair of the torque score. Prototype: ranks like 1500 (0.99)."""
+    qp: QPConfig = field(default_factory=_qp)
+    """The QP of the torque score."""
+    diversity: float = 0.12
+    """Two kept pairs have one anchor at least this far apart; share of the longest side [-].
+    Prototype."""
+    kept: int = 40
+    """Pairs kept. Paper 4.2, K_r."""
+    sides: Literal["preferred", "random"] = "preferred"
+    """Which hand gets which region. `preferred`: the left hand the one farther to the left (world
+    +y), so that arms in front of the robot do not cross. `random`: by lot."""
+
+    def __post_init__(self) -> None:
+        ranges = {
+            "anchors": (2, 100_000),
+            "radius": (1e-3, 1.0),
+            "points": (1, 100_000),
+            "contacts": (1, 64),
+            "same_side": (-1.0, 1.0),
+            "gap": (0.0, 1.0),
+            "wide": (0.0, 10.0),
+            "depth": (0.0, 10.0),
+            "facing": (-1.0, 1.0),
+            "least_accessible": (2, 100_000),
+            "force_friction": (0.0, 10.0),
+            "reranked": (1, 10_000_000),
+            "iterations": (0, 100_000),
+            "diversity": (0.0, 10.0),
+            "kept": (1, 100_000),
+        }
+        for name, (low, high) in ranges.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise BadConfig(
+                    f"RegionConfig.{name} must lie between {low:g} and {high:g}, not {value!r}"
+                )
+
+
+class RegionPairs(NamedTuple):
+    """R region pairs, best first; side 0 is the left hand's region. Object frame, metric."""
+
+    anchors: Int[np.ndarray, "R 2"]
+    """Indices of the anchors among the object's surface points."""
+    points: Float[np.ndarray, "R 2 k 3"]
+    """The regions' points [m]; regions with fewer repeat theirs."""
+    normals: Float[np.ndarray, "R 2 k 3"]
+    """Outward unit normals at `points`."""
+    centres: Float[np.ndarray, "R 2 3"]
+    """The anchors [m]."""
+    mean_normals: Float[np.ndarray, "R 2 3"]
+    """Mean outward normals, unit length."""
+    flatness: Float[np.ndarray, "R 2"]
+    """V = 2 (1 - |mean unit normal|): 0 for a plane."""
+    score: Float[np.ndarray, "R"]
+    """Best first: the force score [caps], or minus the QP residual of the torque score."""
+
+    @property
+    def count(self) -> int:
+        """R."""
+        return len(self.score)
+
+
+def select_region_pairs(
+    obj: PreparedObject, scene: Scene, config: RegionConfig, rng: np.random.Generator
+) -> RegionPairs:
+    """Choose the region pairs of one scene; empty when no two regions are allowed together.
+
+    Args:
+        obj: The object; its surface points must be in farthest-point order.
+        scene: Gives the size, and the pose that decides what left means.
+        config: Numbers and the score.
+        rng: Draws contacts, random pairs and random sides.
+    """
+    size = scene.size
+    regions = build_regions(obj, size, config, rng)
+    longest = float(np.ptp(obj.solid.vertices, axis=0).max()) * size
+    usable = accessible_anchors(obj, size, regions, config)
+    allowed = PairFilter(regions, usable, config.gap, config.wide * longest)
+
+    if config.score == "random":
+        pairs, score = random_order(allowed, 8 * config.kept, rng)
+    elif config.score == "force":
+        pairs, score = force_order(regions, allowed, 8 * config.kept, config.force_friction)
+    else:
+        pairs, score = torque_order(regions, allowed, config, longest, rng)
+
+    keep = diverse(regions.anchor_points, pairs, config.diversity * longest, config.kept)
+    pairs = _assign_sides(pairs[keep], regions.anchor_points, scene, config.sides, rng)
+    return RegionPairs(
+        anchors=pairs,
+        points=regions.points[pairs],
+        normals=regions.normals[pairs],
+        centres=regions.anchor_points[pairs],
+        mean_normals=regions.mean_normals[pairs],
+        flatness=flatness(regions.normals[pairs]),
+        score=score[keep],
+    )
+
+
+def _assign_sides(
+    pairs: Int[np.ndarray, "R 2"],
+    anchors: Float[np.ndarray, "A 3"],
+    scene: Scene,
+    sides: str,
+    rng: np.random.Generator,
+) -> Int[np.ndarray, "R 2"]:
+    """Order each pair (left, right)."""
+    if sides == "random":
+        swap = rng.random(len(pairs)) < 0.5
+    else:
+        left_of = frames.quat_rotate(np.array(scene.object_quat_wxyz), anchors)[:, 1]
+        swap = left_of[pairs[:, 0]] < left_of[pairs[:, 1]]
+    return np.where(swap[:, None], pairs[:, ::-1], pairs)

@@ -1,0 +1,153 @@
+"""Regions around anchors: their points, normals, contacts, flatness and accessibility."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from bidexdata.objects.prepared import PreparedObject
+
+if TYPE_CHECKING:
+    from bidexdata.synthesis.regions import RegionConfig
+
+
+class Regions(NamedTuple):
+    """A regions of k points each, object frame, metric; normals point out."""
+
+    anchor_points: Float[np.ndarray, "A 3"]
+    """[m]."""
+    anchor_normals: Float[np.ndarray, "A 3"]
+    points: Float[np.ndarray, "A k 3"]
+    """Farthest-point order; regions with fewer points repeat theirs [m]."""
+    normals: Float[np.ndarray, "A k 3"]
+    mean_normals: Float[np.ndarray, "A 3"]
+    """Unit length."""
+    reach: Float[np.ndarray, "A"]
+    """Distance of the region's farthest point from its anchor [m]."""
+    contact_points: Float[np.ndarray, "A C 3"]
+    """Drawn from the region for the scores [m]."""
+    contact_normals: Float[np.ndarray, "A C 3"]
+    """Outward."""
+
+
+def build_regions(
+    obj: PreparedObject, size: float, config: RegionConfig, rng: np.random.Generator
+) -> Regions:
+    """Make one region around each of the first surface points.
+
+    A region takes the first k points of the object's farthest-point order that lie within the
+    radius and on the same sheet, which spreads them evenly over it.
+
+    Source:
+        BiDexGrasp 4.2, step 1.
+    """
+    points = np.ascontiguousarray(obj.surface_points * np.float32(size))
+    normals = np.ascontiguousarray(obj.surface_normals)
+    count = min(config.anchors, len(points))
+    index, filled = _members(points, normals, count, config)
+    mean = normals[index].mean(axis=1, dtype=np.float64)
+    length = np.linalg.norm(mean, axis=-1, keepdims=True)
+    # Normals may cancel on a needle's tip; the anchor's own normal stands in there.
+    mean = np.where(length > 1e-6, mean / np.maximum(length, 1e-6), normals[:count])
+    offset = points[index] - points[:count, None]
+    drawn = np.take_along_axis(index, _draw(filled, config.contacts, rng), axis=1)
+    return Regions(
+        anchor_points=points[:count].astype(np.float64),
+        anchor_normals=normals[:count].astype(np.float64),
+        points=points[index],
+        normals=normals[index],
+        mean_normals=mean,
+        reach=np.sqrt(np.einsum("aki,aki->ak", offset, offset).max(axis=1)),
+        contact_points=points[drawn],
+        contact_normals=normals[drawn],
+    )
+
+
+def flatness(normals: Float[np.ndarray, "*b k 3"]) -> Float[np.ndarray, "*b"]:
+    """Give the angular variance V = 2 (1 - |mean unit normal|) of regions.
+
+    Source:
+        BiDexGrasp, appendix B.
+    """
+    return 2.0 * (1.0 - np.linalg.norm(normals.mean(axis=-2, dtype=np.float64), axis=-1))
+
+
+def accessible_anchors(
+    obj: PreparedObject, size: float, regions: Regions, config: RegionConfig
+) -> Bool[np.ndarray, "A"]:
+    """Tell which regions a palm outside the convex hull can reach.
+
+    The anchor lies close below the hull, and the region faces the same way as the hull there.
+    """
+    depth, hull_normal = hull_depth(obj, size, regions.anchor_points)
+    facing = np.einsum("ai,ai->a", regions.mean_normals, hull_normal)
+    usable = (depth <= config.depth) & (facing > config.facing)
+    if usable.sum() < config.least_accessible:
+        usable[np.argsort(depth, kind="stable")[: config.least_accessible]] = True
+    return usable
+
+
+def hull_depth(
+    obj: PreparedObject, size: float, points: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
+    """Measure how deep points of the object lie below its hull [m], and the nearest face's normal.
+
+    For a point inside a convex body the nearest boundary point lies on the nearest face plane.
+    """
+    normals, offsets = hull_planes(obj)
+    depth = offsets * size - np.asarray(points, np.float64) @ normals.T
+    nearest = np.argmin(depth, axis=1)
+    return depth[np.arange(len(points)), nearest], normals[nearest]
+
+
+def hull_planes(obj: PreparedObject) -> tuple[Float[np.ndarray, "F 3"], Float[np.ndarray, "F"]]:
+    """Give the hull's face planes: outward unit normals and offsets n . x, unit diagonal."""
+    corners = obj.hull.vertices[obj.hull.faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    twice_area = np.linalg.norm(cross, axis=-1)
+    # Slivers have no reliable normal; their neighbours bound the hull.
+    solid = twice_area > 1e-9
+    normals = cross[solid] / twice_area[solid, None]
+    return normals, np.einsum("fi,fi->f", normals, corners[solid, 0])
+
+
+def _members(
+    points: Float[np.ndarray, "P 3"],
+    normals: Float[np.ndarray, "P 3"],
+    count: int,
+    config: RegionConfig,
+) -> tuple[Int[np.ndarray, "A k"], Int[np.ndarray, "A"]]:
+    """List the points of each region, and how many of its k places hold different points."""
+    import warp as wp
+
+    from bidexdata.synthesis.regions_kernels import region_members_kernel
+
+    wp.config.log_level = wp.LOG_WARNING
+    wp.init()
+    members = wp.empty((count, config.points), dtype=int, device="cpu")
+    filled = wp.empty(count, dtype=int, device="cpu")
+    wp.launch(
+        region_members_kernel,
+        dim=count,
+        inputs=[
+            wp.array(points, dtype=wp.vec3, device="cpu"),
+            wp.array(normals, dtype=wp.vec3, device="cpu"),
+            config.radius,
+            config.same_side,
+        ],
+        outputs=[members, filled],
+        device="cpu",
+    )
+    return members.numpy(), filled.numpy()
+
+
+def _draw(
+    filled: Int[np.ndarray, "A"], contacts: int, rng: np.random.Generator
+) -> Int[np.ndarray, "A C"]:
+    """Draw places of each region without repetition where it holds enough points."""
+    lot = rng.random((len(filled), int(filled.max())), np.float32)
+    lot[np.arange(lot.shape[1])[None] >= filled[:, None]] = 2.0
+    order = np.argsort(lot, axis=1, kind="stable")
+    return np.take_along_axis(order, np.arange(contacts)[None] % filled[:, None], axis=1)

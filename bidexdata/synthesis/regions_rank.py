@@ -1,0 +1,131 @@
+"""Rank region pairs: by lot, by the paper's force score, or by balance with torques; then spread.
+
+Every ranking returns pairs of anchor numbers (a < b), best first, with their scores.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bidexdata.synthesis.regions_build import Regions
+from bidexdata.synthesis.regions_gap import PairFilter
+from bidexdata.wrench.qp import contact_qp
+from bidexdata.wrench.support import AXES, force_support
+
+if TYPE_CHECKING:
+    from bidexdata.synthesis.regions import RegionConfig
+
+Ranking = tuple[Int[np.ndarray, "n 2"], Float[np.ndarray, "n"]]
+
+
+def random_order(allowed: PairFilter, need: int, rng: np.random.Generator) -> Ranking:
+    """Draw allowed pairs by lot; their score is zero."""
+    chosen = allowed.first(rng.permutation(len(allowed.pairs)), need)
+    return allowed.pairs[chosen], np.zeros(len(chosen))
+
+
+def force_order(regions: Regions, allowed: PairFilter, need: int, friction: float) -> Ranking:
+    """Rank by the paper's score s, the force that the pair resists in the worst of six directions.
+
+    Source:
+        BiDexGrasp 4.2, step 2.
+    """
+    score = force_scores(regions, allowed.pairs, friction)
+    chosen = allowed.first(np.argsort(-score, kind="stable"), need)
+    return allowed.pairs[chosen], score[chosen]
+
+
+def torque_order(
+    regions: Regions,
+    allowed: PairFilter,
+    config: RegionConfig,
+    longest: float,
+    rng: np.random.Generator,
+) -> Ranking:
+    """Rank the best pairs by force, and as many random ones, by minus the coupled QP residual.
+
+    Args:
+        regions: All regions.
+        allowed: The pairs to choose from.
+        config: Numbers of pairs, QP and friction.
+        longest: Longest side of the object's bounding box [m].
+        rng: Draws the random pairs.
+    """
+    force = force_scores(regions, allowed.pairs, config.force_friction)
+    best = allowed.first(np.argsort(-force, kind="stable"), config.reranked)
+    lot = rng.permutation(len(allowed.pairs))
+    rest = allowed.first(lot[~np.isin(lot, best)], config.reranked)
+    pairs = allowed.pairs[np.concatenate([best, rest])]
+    score = -balance_residuals(regions, pairs, config, longest)
+    order = np.argsort(-score, kind="stable")
+    return pairs[order], score[order]
+
+
+def force_scores(
+    regions: Regions, pairs: Int[np.ndarray, "n 2"], friction: float
+) -> Float[np.ndarray, "n"]:
+    """Give the paper's score of pairs: support functions of the two regions add [caps]."""
+    support = force_support(-regions.contact_normals.astype(np.float64), AXES, mu=friction)
+    return (support[pairs[:, 0]] + support[pairs[:, 1]]).min(axis=1)
+
+
+def balance_residuals(
+    regions: Regions, pairs: Int[np.ndarray, "n 2"], config: RegionConfig, longest: float
+) -> Float[np.ndarray, "n"]:
+    """Give the coupled QP's residual over the six disturbances, both hands pressing (squared)."""
+    if not len(pairs):
+        return np.zeros(0)
+    shape = (len(pairs), -1, 3)
+    length = torque_length(longest)
+    solution = contact_qp(
+        regions.contact_points[pairs].reshape(shape),
+        -regions.contact_normals[pairs].reshape(shape),
+        np.full(len(pairs), length, np.float32),
+        config.qp,
+        coupling="coupled",
+        iterations=config.iterations,
+    )
+    return solution.residual.astype(np.float64).sum(axis=(1, 2))
+
+
+def torque_length(longest: float) -> float:
+    """Length that makes torques comparable with forces: half the longest side, at least 0.1 m.
+
+    Source:
+        Our measurement (facts/prototype.md, section 5); BODex takes half the box diagonal.
+    """
+    return max(0.5 * longest, 0.1)
+
+
+def diverse(
+    anchors: Float[np.ndarray, "A 3"], pairs: Int[np.ndarray, "n 2"], distance: float, keep: int
+) -> Int[np.ndarray, "m"]:
+    """Pick pairs in order that differ from all picked ones by more than `distance` in one anchor.
+
+    Args:
+        anchors: [m].
+        pairs: Best first.
+        distance: [m]; both ways of matching the anchors of two pairs are compared.
+        keep: Number of pairs at most.
+
+    Returns:
+        Indices of `pairs`, ascending.
+    """
+    a, b = anchors[pairs[:, 0]], anchors[pairs[:, 1]]
+    free = np.ones(len(pairs), bool)
+    picked: list[int] = []
+    while len(picked) < keep and free.any():
+        i = int(np.argmax(free))
+        picked.append(i)
+        straight = np.maximum(_norm(a - a[i]), _norm(b - b[i]))
+        crossed = np.maximum(_norm(a - b[i]), _norm(b - a[i]))
+        free &= np.minimum(straight, crossed) > distance
+        free[i] = False
+    return np.array(picked, np.int64)
+
+
+def _norm(v: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+    return np.sqrt(np.einsum("ni,ni->n", v, v))
