@@ -47,7 +47,7 @@ def region_penalty(
 def distance_energy(
     distance: Float[np.ndarray, "*b n"],
     direction: Float[np.ndarray, "*b n 3"],
-    radius: Float[np.ndarray, "n"],
+    radius: Float[np.ndarray, " n"],
     target: float,
 ) -> Term:
     """Sum the squared deviations of pad distances from `target` [m2].
@@ -69,7 +69,7 @@ def target_energy(
     centres: Float[np.ndarray, "*b n 3"],
     points: Float[np.ndarray, "*b n 3"],
     normals_in: Float[np.ndarray, "*b n 3"],
-    radius: Float[np.ndarray, "n"],
+    radius: Float[np.ndarray, " n"],
     target: float,
 ) -> Term:
     """Sum the squared distances of centres from their places above frozen surface points [m2].
@@ -116,7 +116,7 @@ def pad_energy(
 def sphere_object_energy(
     distance: Float[np.ndarray, "*b n"],
     direction: Float[np.ndarray, "*b n 3"],
-    radius: Float[np.ndarray, "n"],
+    radius: Float[np.ndarray, " n"],
     margin: float,
 ) -> Term:
     """Sum the squared depths of spheres in the object's margin [m2].
@@ -134,7 +134,7 @@ def sphere_object_energy(
 def sphere_plane_energy(
     centres: Float[np.ndarray, "*b n 3"],
     plane: Float[np.ndarray, "*b 4"],
-    radius: Float[np.ndarray, "n"],
+    radius: Float[np.ndarray, " n"],
     margin: float,
 ) -> Term:
     """Sum the squared depths of spheres below the plane normal . x + offset = 0 [m2]."""
@@ -146,7 +146,7 @@ def sphere_plane_energy(
 def pair_energy(
     centres: Float[np.ndarray, "*b n 3"],
     pairs: Int[np.ndarray, "P 2"],
-    radius: Float[np.ndarray, "n"],
+    radius: Float[np.ndarray, " n"],
     margin: float,
 ) -> Term:
     """Sum the squared overlaps of listed sphere pairs [m2]; for one hand or for both at once."""

@@ -15,7 +15,7 @@ Groups = Literal["decoupled", "coupled", "mix"]
 Disturbances = Literal["forces", "zero"]
 
 
-def refuse_outside(owner: object, name: str, low: float, high: float) -> None:
+def refuse_outside(owner: object, name: str, low: float | int, high: float | int) -> None:
     """Raise `BadConfig` unless `owner.name` lies in [low, high]."""
     value = getattr(owner, name)
     if not low <= value <= high:

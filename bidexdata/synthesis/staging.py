@@ -2,9 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+import numpy as np
+from jaxtyping import Float
+
+from bidexdata.frames import (
+    quat_conjugate,
+    quat_from_rotation_vector,
+    quat_multiply,
+    rotation_vector_from_quat,
+)
 from bidexdata.synthesis.optimise_config import refuse_outside
+from bidexdata.synthesis.pose import Pose
+
+if TYPE_CHECKING:
+    from bidexdata.hands.model import Hand
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,3 +47,51 @@ class StagingConfig:
         refuse_outside(self, "stiffness", 1e-3, 1e6)
         refuse_outside(self, "largest_offset", 0.0, 3.2)
         refuse_outside(self, "density", 0.0, 1e5)
+
+
+def squeeze(
+    pregrasp: Pose,
+    grasp: Pose,
+    torques: Sequence[Float[np.ndarray, "N D"]],
+    hands: Sequence[Hand],
+    config: StagingConfig,
+) -> Pose:
+    """Aim beyond the grasp: on along the closing motion, and by the torques that press.
+
+    Args:
+        pregrasp: Both hands before closing.
+        grasp: Both hands touching.
+        torques: Generalised torques that exert the wanted forces, per hand [N m].
+        hands: Left and right.
+        config: How far, and how stiff the actuators are.
+
+    Source:
+        BiDexGrasp, section 4.4 (2 G - G_pre); joint torques J^T f as in Dexonomy, scaled with the
+        weight (our measurement: the base's weld absorbs most of a pure pose offset).
+    """
+    share = config.extrapolate
+    turn = rotation_vector_from_quat(
+        quat_multiply(grasp.quat_wxyz, quat_conjugate(pregrasp.quat_wxyz))
+    )
+    joints = []
+    for h, hand in enumerate(hands):
+        on = share * (grasp.joints[h] - pregrasp.joints[h])
+        press = torque_offsets(hand, torques[h], config)
+        joints.append(grasp.joints[h] + on + press)
+    return Pose(
+        position=grasp.position + share * (grasp.position - pregrasp.position),
+        quat_wxyz=quat_multiply(quat_from_rotation_vector(share * turn), grasp.quat_wxyz),
+        joints=(joints[0], joints[1]),
+    )
+
+
+def torque_offsets(
+    hand: Hand, torques: Float[np.ndarray, "N D"], config: StagingConfig
+) -> Float[np.ndarray, "N J"]:
+    """Changes of the joint targets that make the actuators exert torques [rad].
+
+    Coupled joints share the mean of their torques, since one actuator drives them.
+    """
+    shared = hand.coupling / np.sum(hand.coupling**2, axis=0)
+    tau = np.sum(torques[:, None, :] * shared[None], axis=2)
+    return np.clip(tau / config.stiffness, -config.largest_offset, config.largest_offset)

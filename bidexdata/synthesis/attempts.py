@@ -1,0 +1,146 @@
+"""Attempts: what is tried in each scene, before anything is optimised.
+
+Attempts of a scene are numbered over region pairs and random draws. Every scene has its own seed,
+so that neither the other scenes of a call nor their order change it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bidexdata.frames import matrix_from_quat, quat_conjugate, quat_multiply
+from bidexdata.record import Scene, Status
+from bidexdata.synthesis.placement import place_palms
+from bidexdata.synthesis.regions import select_region_pairs
+from bidexdata.synthesis.workspace import Start
+
+if TYPE_CHECKING:
+    from bidexdata.hands.model import Hand
+    from bidexdata.objects.prepared import PreparedObject
+    from bidexdata.synthesis.config import SynthConfig
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Attempts:
+    """M attempts of one scene, of which K have a start."""
+
+    scene: Scene
+    seed: int
+    """Of this scene; every draw for it derives from this."""
+    status: Int[np.ndarray, " M"]
+    """OK where there is a start, else why not."""
+    region_id: Int[np.ndarray, "M 2"]
+    """Anchor of each hand's region; -1 without a region pair."""
+    region_score: Float[np.ndarray, " M"]
+    start: Start
+    """The K starts, in the order of their attempts, object frame."""
+
+
+def scene_seed(seed: int, scene_id: str) -> int:
+    """Derive the seed of a scene: 63 bits of a hash of run seed and scene."""
+    digest = hashlib.sha256(f"{seed}\n{scene_id}".encode()).digest()
+    return int.from_bytes(digest[:8], "big") >> 1
+
+
+def grasp_ids(run_fingerprint: str, scene_id: str, numbers: Sequence[int]) -> list[str]:
+    """Name attempts: 16 hex digits of a hash of run, scene and attempt number each."""
+    texts = (f"{run_fingerprint}\n{scene_id}\n{number}" for number in numbers)
+    return [hashlib.sha256(text.encode()).hexdigest()[:16] for text in texts]
+
+
+def draw_attempts(
+    obj: PreparedObject,
+    hands: tuple[Hand, Hand],
+    scene: Scene,
+    config: SynthConfig,
+    seed: int,
+    count: int,
+) -> Attempts:
+    """Choose region pairs and place the palms for `count` attempts of a scene."""
+    own = scene_seed(seed, scene.scene_id)
+    pairs = select_region_pairs(obj, scene, config.regions, np.random.default_rng([own, 0]))
+    if len(pairs.score) == 0:
+        return _without_start(hands, scene, own, count)
+    placed = place_palms(
+        obj, hands, scene, pairs, config.placement, np.random.default_rng([own, 1]), count
+    )
+    ok, pair = placed.ok, placed.pair_index
+    position, quat = _in_object_frame(scene, placed.hand_pos[ok], placed.hand_quat[ok])
+    joints = [placed.joints[ok, h, : len(hand.joint_names)] for h, hand in enumerate(hands)]
+    nearest_of = config.optimise.energy.region_distance
+    regions = pairs.points if nearest_of == "points" else pairs.centres[:, :, None]
+    start = Start(
+        size=np.full(len(position), scene.size),
+        position=position,
+        rotation=matrix_from_quat(quat),
+        joints=(joints[0], joints[1]),
+        regions=regions[pair[ok]],
+        plane=np.tile(table_plane(scene), (len(position), 1)),
+    )
+    return Attempts(
+        scene=scene,
+        seed=own,
+        status=np.where(ok, Status.OK, Status.NO_PLACEMENT).astype(np.int8),
+        region_id=pairs.anchors[pair],
+        region_score=pairs.score[pair],
+        start=start,
+    )
+
+
+def table_plane(scene: Scene) -> Float[np.ndarray, " 4"]:
+    """The table of a scene as seen from its object: normal . x + offset is the height over it."""
+    if scene.setting == "floating":
+        return np.zeros(4)
+    up = matrix_from_quat(np.array(scene.object_quat_wxyz))[2]
+    return np.append(up, scene.object_pos[2])
+
+
+def gather_starts(attempts: Sequence[Attempts]) -> Start:
+    """Join the starts of several scenes of one object."""
+    starts = [a.start for a in attempts]
+    joints = [np.concatenate([s.joints[h] for s in starts]) for h in range(2)]
+    # A scene without starts says nothing about the number of region points.
+    regions = [s.regions for s in starts if len(s.regions)] or [starts[0].regions]
+    return Start(
+        size=np.concatenate([s.size for s in starts]),
+        position=np.concatenate([s.position for s in starts]),
+        rotation=np.concatenate([s.rotation for s in starts]),
+        joints=(joints[0], joints[1]),
+        regions=np.concatenate(regions),
+        plane=np.concatenate([s.plane for s in starts]),
+    )
+
+
+def _in_object_frame(
+    scene: Scene, position: np.ndarray, quat: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """World poses of hands as seen from the scene's object."""
+    q_object_world = quat_conjugate(np.array(scene.object_quat_wxyz))
+    offset = position - np.array(scene.object_pos)
+    turned = np.sum(matrix_from_quat(q_object_world) * offset[..., None, :], axis=-1)
+    return turned, quat_multiply(q_object_world, quat)
+
+
+def _without_start(hands: tuple[Hand, Hand], scene: Scene, seed: int, count: int) -> Attempts:
+    joints = [np.zeros((0, len(hand.joint_names))) for hand in hands]
+    return Attempts(
+        scene=scene,
+        seed=seed,
+        status=np.full(count, Status.NO_REGION_PAIR, np.int8),
+        region_id=np.full((count, 2), -1),
+        region_score=np.full(count, np.nan),
+        start=Start(
+            size=np.zeros(0),
+            position=np.zeros((0, 2, 3)),
+            rotation=np.zeros((0, 2, 3, 3)),
+            joints=(joints[0], joints[1]),
+            regions=np.zeros((0, 2, 1, 3)),
+            plane=np.zeros((0, 4)),
+        ),
+    )

@@ -1,0 +1,181 @@
+"""Synthesis of two-handed grasps of one object: the stages in their order.
+
+The object may appear in several scenes (sizes, rest poses); their grasps are optimised together.
+Poses are in the object frame until the record is written, which is in the world.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from bidexdata.config import fingerprint
+from bidexdata.record import GraspBatch, Scene, Status
+from bidexdata.synthesis.attempts import Attempts, draw_attempts, gather_starts
+from bidexdata.synthesis.config import SynthConfig
+from bidexdata.synthesis.forces import ContactForces, contact_forces, force_scales, joint_torques
+from bidexdata.synthesis.optimise import Optimised, optimise
+from bidexdata.synthesis.pose import Pose
+from bidexdata.synthesis.rows import scene_rows
+from bidexdata.synthesis.selection import audit, best, judge
+from bidexdata.synthesis.staging import squeeze
+
+if TYPE_CHECKING:
+    from bidexdata.hands.model import Hand
+    from bidexdata.objects.prepared import PreparedObject
+
+
+class Staged(NamedTuple):
+    """Finished grasps of all scenes, in the order of the starts."""
+
+    optimised: Optimised
+    squeeze: Pose
+    forces: ContactForces
+    force_scale: np.ndarray
+    """[N] per unit of force, (K, 2)."""
+    depth: np.ndarray
+    """Pre-grasp penetration [m], (K,)."""
+    status: np.ndarray
+    """(K,)."""
+
+
+def synthesize(
+    obj: PreparedObject,
+    hands: tuple[Hand, Hand],
+    scenes: Sequence[Scene],
+    config: SynthConfig | None = None,
+    seed: int = 0,
+    *,
+    run_fingerprint: str = "",
+    grasps: int = 10,
+    candidates: int | None = None,
+    first_attempt: int = 0,
+    device: str = "cpu",
+) -> GraspBatch:
+    """Make grasps of one object in one or several scenes.
+
+    Args:
+        obj: The object.
+        hands: Left and right.
+        scenes: Of this object; each is independent of the others.
+        config: All constants; the defaults when omitted.
+        seed: Of the run; each scene derives its own.
+        run_fingerprint: Names the run in the grasps' ids.
+        grasps: N, grasps kept per scene.
+        candidates: M, attempts per scene; `config.selection.candidates_per_grasp` N when omitted.
+        first_attempt: Number of the first attempt, when a run grows.
+        device: Warp device of the optimisation.
+
+    Returns:
+        The rows that are selected or audited, scene after scene, ordered by attempt; the header
+        counts the statuses of all attempts per scene.
+    """
+    config = config or SynthConfig()
+    if any(s.object_id != obj.object_id for s in scenes):
+        raise ValueError(f"every scene must be one of {obj.object_id}")
+    count = candidates or config.selection.candidates_per_grasp * grasps
+    attempts = [draw_attempts(obj, hands, s, config, seed, count) for s in scenes]
+    staged = _grasp(obj, hands, attempts, config, device)
+    made = []
+    for one, rows in zip(attempts, _rows_per_scene(attempts), strict=True):
+        status, depth, residual = _outcome(one, staged, rows)
+        made.append(
+            scene_rows(
+                hands,
+                one,
+                staged,
+                rows,
+                status=status,
+                selected=best(status, depth, residual, grasps, config.selection),
+                audit=audit(count, grasps, np.random.default_rng([one.seed, 2])),
+                steps=config.optimise.steps,
+                first_attempt=first_attempt,
+                run_fingerprint=run_fingerprint,
+                fingerprints={"synth": fingerprint(config)},
+            )
+        )
+    return GraspBatch.concat(made)
+
+
+def _grasp(
+    obj: PreparedObject,
+    hands: tuple[Hand, Hand],
+    attempts: Sequence[Attempts],
+    config: SynthConfig,
+    device: str,
+) -> Staged:
+    """Optimise all starts, balance the contact forces, and aim the squeeze."""
+    found = optimise(obj, hands, gather_starts(attempts), config.optimise, device=device)
+    forces = contact_forces(
+        found.workspace, config.optimise.closure, config.selection.residual_iterations
+    )
+    staging = config.staging
+    scale = force_scales(
+        forces.forces,
+        found.normals_in,
+        np.concatenate(
+            [np.full(len(a.start.size), obj.mass(a.scene.size, staging.density)) for a in attempts]
+        ),
+        staging.force_floor,
+        staging.force_per_weight,
+    )
+    torques = joint_torques(found.workspace, forces.forces * scale[:, :, None, None])
+    target = squeeze(found.pregrasp, found.grasp, torques, hands, staging)
+    finite = found.pregrasp.finite() & found.grasp.finite() & target.finite()
+    depth = _pregrasp_depths(obj, hands, attempts, found.pregrasp, finite)
+    status = judge(finite, found.gaps, depth, config.selection)
+    return Staged(found, target, forces, scale, depth, status)
+
+
+def _pregrasp_depths(
+    obj: PreparedObject,
+    hands: tuple[Hand, Hand],
+    attempts: Sequence[Attempts],
+    pregrasp: Pose,
+    finite: np.ndarray,
+) -> np.ndarray:
+    """Deepest hand-object penetration of each pre-grasp, on the hands' own geometry [m]."""
+    from bidexdata.simulation.distances import pregrasp_penetration
+
+    depth = np.full(len(finite), np.nan)
+    joints = max(len(h.joint_names) for h in hands)
+    for one, rows in zip(attempts, _rows_per_scene(attempts), strict=True):
+        rows = rows[finite[rows]]
+        if len(rows) == 0:
+            continue
+        padded = np.full((len(rows), 2, joints), np.nan)
+        for h in range(2):
+            padded[:, h, : pregrasp.joints[h].shape[1]] = pregrasp.joints[h][rows]
+        depth[rows] = pregrasp_penetration(
+            hands,
+            obj,
+            one.scene.size,
+            np.zeros(3),
+            np.array([1.0, 0.0, 0.0, 0.0]),
+            pregrasp.position[rows],
+            pregrasp.quat_wxyz[rows],
+            padded,
+        )
+    return depth
+
+
+def _rows_per_scene(attempts: Sequence[Attempts]) -> list[np.ndarray]:
+    """Which of the joined starts belong to each scene."""
+    ends = np.cumsum([len(a.start.size) for a in attempts])
+    starts = np.append(0, ends[:-1])
+    return [np.arange(a, b) for a, b in zip(starts, ends, strict=True)]
+
+
+def _outcome(
+    one: Attempts, staged: Staged, rows: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Status, pre-grasp depth and coupled residual of all M attempts of a scene."""
+    placed = one.status == Status.OK
+    status = one.status.copy()
+    status[placed] = staged.status[rows]
+    depth, residual = np.full((2, len(status)), np.nan)
+    depth[placed] = staged.depth[rows]
+    residual[placed] = staged.forces.residual[rows]
+    return status, depth, residual

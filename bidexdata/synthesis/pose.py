@@ -1,0 +1,37 @@
+"""Pose: both hands of N grasps at one stage."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from bidexdata.frames import matrix_from_quat, quat_multiply
+
+
+class Pose(NamedTuple):
+    """Both hands of N grasps; a grasp that is not finite has NaN positions."""
+
+    position: Float[np.ndarray, "N 2 3"]
+    """Origins of the hand frames [m]."""
+    quat_wxyz: Float[np.ndarray, "N 2 4"]
+    joints: tuple[Float[np.ndarray, "N J0"], Float[np.ndarray, "N J1"]]
+    """Per hand [rad]."""
+
+    def finite(self) -> np.ndarray:
+        """Which grasps consist of numbers, (N,)."""
+        parts = [self.position.reshape(len(self.position), -1), *self.joints]
+        return np.all([np.isfinite(p).all(axis=1) for p in parts], axis=0)
+
+    def moved(self, position: Float[np.ndarray, " 3"], quat_wxyz: Float[np.ndarray, " 4"]) -> Pose:
+        """The same poses seen from a frame in which their own frame has the given pose."""
+        R = matrix_from_quat(quat_wxyz)
+        # A sum per component, so that the batch's size cannot change the rounding.
+        turned = np.stack([np.sum(self.position * row, axis=-1) for row in R], axis=-1)
+        return Pose(turned + position, quat_multiply(quat_wxyz, self.quat_wxyz), self.joints)
+
+    def rows(self, index: np.ndarray | slice) -> Pose:
+        """Some of the grasps."""
+        joints = (self.joints[0][index], self.joints[1][index])
+        return Pose(self.position[index], self.quat_wxyz[index], joints)

@@ -1,0 +1,135 @@
+"""Rows: the record's columns of one scene's attempts, in the world."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bidexdata import __version__
+from bidexdata.frames import quat_canonical
+from bidexdata.record import GraspBatch, Header, Scene, Status
+from bidexdata.record.batch import empty_columns
+from bidexdata.record.fields import columns_written_by
+from bidexdata.synthesis.attempts import Attempts, grasp_ids
+
+if TYPE_CHECKING:
+    from bidexdata.hands.model import Hand
+    from bidexdata.synthesis.pipeline import Staged
+
+
+def scene_rows(
+    hands: tuple[Hand, Hand],
+    attempts: Attempts,
+    staged: Staged,
+    rows: np.ndarray,
+    *,
+    status: np.ndarray,
+    selected: np.ndarray,
+    audit: np.ndarray,
+    steps: int,
+    first_attempt: int,
+    run_fingerprint: str,
+    fingerprints: Mapping[str, str],
+) -> GraspBatch:
+    """Write the selected and audited attempts of a scene, ordered by attempt.
+
+    Args:
+        hands: Left and right.
+        attempts: The scene's M attempts.
+        staged: Finished grasps of all scenes.
+        rows: Which of those are this scene's, in the order of its attempts with a start.
+        status: Of each attempt, (M,).
+        selected: One of the best, (M,).
+        audit: One of those drawn beforehand, (M,).
+        steps: Optimiser steps taken.
+        first_attempt: Number of the first attempt.
+        run_fingerprint: Names the run in the ids.
+        fingerprints: For the header.
+    """
+    header = Header(
+        hands=tuple(h.header() for h in hands),
+        fingerprints=dict(fingerprints),
+        version=__version__,
+        counts={attempts.scene.scene_id: _count(status)},
+    )
+    kept = np.flatnonzero(selected | audit)
+    made = empty_columns(header, columns_written_by("synth"), len(kept))
+    _identify(made, attempts, kept, run_fingerprint, first_attempt)
+    made["synth_status"] = status[kept].astype(np.int8)
+    made["selected"], made["audit"] = selected[kept], audit[kept]
+    made["region_id"] = attempts.region_id[kept].astype(np.int16)
+    made["region_score"] = attempts.region_score[kept].astype(np.float32)
+    # Rows of failed attempts keep their fill values.
+    place = np.full(len(status), -1)
+    place[attempts.status == Status.OK] = rows
+    at = np.flatnonzero(status[kept] == Status.OK)
+    _pose(made, attempts.scene, staged, at, place[kept[at]])
+    _figures(made, staged, at, place[kept[at]], header)
+    made["steps"][at] = steps
+    return GraspBatch(header, made)
+
+
+def _identify(
+    made: dict[str, np.ndarray],
+    attempts: Attempts,
+    kept: np.ndarray,
+    run_fingerprint: str,
+    first_attempt: int,
+) -> None:
+    scene, n = attempts.scene, len(kept)
+    numbers = kept + first_attempt
+    made["grasp_id"] = np.array(grasp_ids(run_fingerprint, scene.scene_id, numbers.tolist()), str)
+    made["scene_id"] = np.full(n, scene.scene_id)
+    made["object_id"] = np.full(n, scene.object_id)
+    made["size_mm"] = np.full(n, scene.size_mm, np.int32)
+    made["setting"] = np.full(n, scene.setting)
+    made["object_pos"] = np.tile(np.float32(scene.object_pos), (n, 1))
+    quat = quat_canonical(np.array(scene.object_quat_wxyz))
+    made["object_quat_wxyz"] = np.tile(np.float32(quat), (n, 1))
+    made["sides"] = np.tile(np.int8([0, 1]), (n, 1))
+    made["attempt"] = numbers.astype(np.int32)
+    made["seed"] = np.full(n, attempts.seed, np.int64)
+
+
+def _pose(
+    made: dict[str, np.ndarray], scene: Scene, staged: Staged, at: np.ndarray, rows: np.ndarray
+) -> None:
+    found = staged.optimised
+    for s, pose in enumerate((found.pregrasp, found.grasp, staged.squeeze)):
+        world = pose.rows(rows).moved(np.array(scene.object_pos), np.array(scene.object_quat_wxyz))
+        made["hand_pos"][at, :, s] = world.position
+        made["hand_quat_wxyz"][at, :, s] = world.quat_wxyz
+        for h, joints in enumerate(world.joints):
+            made["joints"][at, h, s, : joints.shape[1]] = joints
+
+
+def _figures(
+    made: dict[str, np.ndarray], staged: Staged, at: np.ndarray, rows: np.ndarray, header: Header
+) -> None:
+    found, forces = staged.optimised, staged.forces
+    energies = found.energies
+    for name, values in {
+        "energy_qp": energies.closure,
+        "energy_distance": energies.distance,
+        "energy_region": energies.region,
+        "energy_penetration": energies.penetration,
+        "energy_self": energies.self_penetration,
+        "energy_pad": energies.pad,
+        "qp_residual": forces.residual,
+        "qp_residual_hand": forces.residual_hand,
+        "force_scale": staged.force_scale,
+    }.items():
+        made[name][at] = values[rows]
+    for h, hand in enumerate(header.hands):
+        count = len(hand.contact_names)
+        made["contact_index"][at, h, :count] = np.arange(count)
+        made["contact_point"][at, h, :count] = found.points[rows, h, :count]
+        made["contact_normal"][at, h, :count] = -found.normals_in[rows, h, :count]
+        made["contact_force"][at, h, :count] = forces.forces[rows, h, :count]
+
+
+def _count(status: np.ndarray) -> dict[str, int]:
+    values, counts = np.unique(status, return_counts=True)
+    return {Status(v).label: int(c) for v, c in zip(values, counts, strict=True)}

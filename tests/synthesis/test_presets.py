@@ -1,0 +1,104 @@
+"""Laws of the synthesis configuration and its presets."""
+
+import dataclasses
+
+import pytest
+
+from bidexdata.config import fingerprint, from_plain, to_plain, with_overrides
+from bidexdata.errors import BadConfig, UnknownKey, UnknownName
+from bidexdata.synthesis.config import SynthConfig
+from bidexdata.synthesis.presets import (
+    PAPER_OPEN,
+    describe_preset,
+    load_preset,
+    preset_names,
+)
+
+
+def value_at(config, key):
+    for part in key.split("."):
+        config = getattr(config, part)
+    return config
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_a_preset_survives_the_round_trip_through_plain_data(name):
+    config = load_preset(name)
+    assert from_plain(SynthConfig, to_plain(config)) == config
+    assert fingerprint(from_plain(SynthConfig, to_plain(config))) == fingerprint(config)
+
+
+def test_the_default_preset_is_the_default():
+    assert load_preset("default") == SynthConfig()
+
+
+def test_every_change_of_a_preset_changes_the_default_and_says_why():
+    for name in preset_names():
+        for change in describe_preset(name).changes:
+            assert change.reason
+            assert value_at(load_preset(name), change.key) == change.value
+            # `forces` and others may equal today's default; then the preset pins them.
+            assert type(value_at(SynthConfig(), change.key)) is type(change.value)
+
+
+def test_the_paper_preset_has_the_papers_numbers():
+    config = load_preset("paper")
+    assert config.regions.anchors == 200
+    assert config.regions.points == 256
+    assert config.regions.radius == 0.08
+    assert config.regions.gap == 0.05
+    assert config.regions.contacts == 5
+    assert config.regions.kept == 40
+    assert config.regions.score == "force"
+    assert config.optimise.closure.groups == "decoupled"
+    assert config.optimise.closure.weight_decoupled == 1000
+    assert config.optimise.energy.distance == 100
+    assert config.optimise.energy.region == 50
+    assert config.optimise.pregrasp.distance == 0.01
+    assert config.staging.extrapolate == 1
+    assert config.staging.force_floor == config.staging.force_per_weight == 0
+
+
+def test_every_open_constant_exists():
+    for constant in PAPER_OPEN:
+        assert constant.source
+        value_at(SynthConfig(), constant.key)
+
+
+def test_unknown_names_and_impossible_values_are_refused():
+    with pytest.raises(UnknownName, match="did you mean 'paper'"):
+        load_preset("papr")
+    with pytest.raises(UnknownKey, match="step"):
+        with_overrides(SynthConfig(), ["optimise.approach.step=3"])
+    with pytest.raises(BadConfig, match="friction"):
+        with_overrides(SynthConfig(), ["optimise.closure.friction=-1"])
+    with pytest.raises(BadConfig, match="one of decoupled, coupled, mix"):
+        with_overrides(SynthConfig(), ["optimise.closure.groups=both"])
+
+
+def test_every_field_has_a_docstring_with_its_source():
+    """Read from the source text, because Python keeps no docstrings of fields."""
+    import ast
+    import inspect
+
+    pending, seen = [SynthConfig], set()
+    while pending:
+        cls = pending.pop()
+        if cls in seen or not cls.__module__.startswith("bidexdata.synthesis"):
+            continue
+        seen.add(cls)
+        body = ast.parse(inspect.getsource(cls)).body[0].body
+        texts = {
+            a.target.id: b
+            for a, b in zip(body, body[1:], strict=False)
+            if isinstance(a, ast.AnnAssign)
+        }
+        for field in dataclasses.fields(cls):
+            default = getattr(SynthConfig(), field.name, None)
+            if dataclasses.is_dataclass(default):
+                pending.append(type(default))
+                continue
+            after = texts[field.name]
+            documented = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            if cls is not SynthConfig and not field.type.endswith("Config"):
+                assert documented, f"{cls.__name__}.{field.name} has no docstring"

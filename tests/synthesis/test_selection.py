@@ -1,0 +1,77 @@
+"""Laws of the choice of attempts: what is kept follows from analytic figures alone."""
+
+import numpy as np
+import pytest
+
+from bidexdata.record import Status
+from bidexdata.synthesis.selection import SelectionConfig, audit, best, judge
+
+CONFIG = SelectionConfig(largest_residual=0.5, clear_depth=0.001, start_depth=0.01)
+
+
+def sample(seed=0, count=200):
+    rng = np.random.default_rng(seed)
+    status = rng.choice([Status.OK, Status.NO_PLACEMENT, Status.PENETRATION_LEFT], count)
+    depth = rng.uniform(0, 0.003, count)
+    residual = rng.uniform(0, 1, count)
+    residual[status != Status.OK] = np.nan
+    depth[status != Status.OK] = np.nan
+    return status.astype(np.int8), depth, residual
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 1000])
+def test_no_attempt_left_out_is_better_than_one_kept(count):
+    status, depth, residual = sample()
+    kept = best(status, depth, residual, count, CONFIG)
+    able = (status == Status.OK) & (residual <= CONFIG.largest_residual)
+    assert not np.any(kept & ~able)
+    assert kept.sum() == min(count, able.sum())
+    key = np.stack([depth > CONFIG.clear_depth, residual], axis=1)
+    if kept.any() and (able & ~kept).any():
+        assert max(map(tuple, key[kept])) <= min(map(tuple, key[able & ~kept]))
+
+
+def test_equal_attempts_are_kept_in_their_order():
+    kept = best(np.zeros(6, np.int8), np.zeros(6), np.zeros(6), 2, CONFIG)
+    assert kept.tolist() == [True, True, False, False, False, False]
+
+
+def test_the_audit_does_not_look_at_attempts():
+    drawn = audit(40, 10, np.random.default_rng(3))
+    assert drawn.sum() == 10
+    assert np.array_equal(drawn, audit(40, 10, np.random.default_rng(3)))
+    assert not np.array_equal(drawn, audit(40, 10, np.random.default_rng(4)))
+    # Over many seeds every attempt is drawn about as often.
+    times = sum(audit(40, 10, np.random.default_rng(s)).astype(int) for s in range(2000))
+    assert np.all(np.abs(times - 500) < 5 * np.sqrt(2000 * 0.25 * 0.75))
+
+
+def test_a_scene_without_starts_gives_failed_audit_rows():
+    assert audit(4, 10, np.random.default_rng(0)).sum() == 4
+
+
+def test_each_failure_has_its_status():
+    gaps = np.zeros((6, 2, 5))
+    gaps[1, 0, :3] = 0.02  # left hand keeps two contacts
+    gaps[2, 1, :2] = 0.02  # right hand keeps three
+    gaps[3, :, 3:] = np.nan  # padding: three contacts a hand
+    depth = np.array([0.0, 0.0, 0.0, 0.0, 0.011, np.nan])
+    finite = np.array([True, True, True, True, True, False])
+    expected = [
+        Status.OK,
+        Status.CONTACT_LOST,
+        Status.OK,
+        Status.OK,
+        Status.PENETRATION_LEFT,
+        Status.NOT_FINITE,
+    ]
+    assert judge(finite, gaps, depth, CONFIG).tolist() == expected
+
+
+def test_no_accepted_grasp_is_deeper_than_the_limit():
+    rng = np.random.default_rng(1)
+    depth = rng.uniform(0, 0.02, 300)
+    status = judge(np.ones(300, bool), np.zeros((300, 2, 5)), depth, CONFIG)
+    kept = best(status, depth, rng.uniform(0, 0.1, 300), 300, CONFIG)
+    assert kept.any()
+    assert depth[kept].max() <= CONFIG.start_depth
