@@ -81,6 +81,10 @@ class ConvexConfig:
     """Pieces of the second try."""
     second_cpu_seconds: int = 30
     """CPU seconds of the second try; after it the hull is the last answer."""
+    overlap: float = 0.004
+    """How far pieces reach into their neighbours beyond a cut. Measured on a cow in 23 pieces:
+    share of surface samples deeper than 0.02 inside is 36 % at 0, 5 % at 0.001, 0.2 % at 0.004,
+    for 1 % more volume."""
     min_volume: float = 1e-4
     """Pieces below this share of the total volume are dropped: MuJoCo refuses tiny meshes."""
 

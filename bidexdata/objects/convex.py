@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 
 from bidexdata.objects.closed import as_manifold, as_mesh, convex_hull, thinnest
 from bidexdata.objects.config import ConvexConfig
+from bidexdata.objects.cuts import overlap_cuts
 from bidexdata.objects.failure import PrepareFailure
+from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.record.status import Status
 
@@ -33,6 +35,8 @@ _WALL_PER_CPU = 6.0
 """Wall-clock seconds granted per CPU second: the machine may be busy with other work."""
 _FLAT = 1e-5
 """Pieces thinner than this (unit diagonal) have no volume that a simulator accepts."""
+_FIRST_TOLERANCE = 2e-4
+"""Where the search for the tolerance that leaves few enough vertices starts."""
 
 
 class Decomposition(NamedTuple):
@@ -78,7 +82,7 @@ def decompose(mesh: TriangleMesh, config: ConvexConfig) -> Decomposition:
     )
     for method, threshold, most, seconds in tries:
         raw, reason = _run_coacd(simple, config, threshold, most, seconds)
-        pieces = _solid_pieces(raw, config)
+        pieces = _solid_pieces(raw, mesh, config)
         if pieces:
             return Decomposition(pieces, method, tuple(warnings))
         warnings.append(f"{method} {reason or 'gave no piece with a volume'}")
@@ -101,8 +105,7 @@ def _run_coacd(
         "mcts_nodes": config.mcts_nodes,
         "mcts_iterations": config.mcts_iterations,
         "mcts_max_depth": config.mcts_max_depth,
-        "decimate": True,
-        "max_ch_vertex": config.max_vertices,
+        "decimate": False,
         "seed": 0,
         "cpu_seconds": seconds,
     }
@@ -143,36 +146,34 @@ def _unsafe(mesh: TriangleMesh) -> str:
     return ""
 
 
-def _solid_pieces(raw: list[NDArray[np.float64]], config: ConvexConfig) -> tuple[TriangleMesh, ...]:
-    """Hull every raw piece and drop those too small for a simulator."""
+def _solid_pieces(
+    raw: list[NDArray[np.float64]], mesh: TriangleMesh, config: ConvexConfig
+) -> tuple[TriangleMesh, ...]:
+    """Hull every raw piece, drop those too small for a simulator, close the cracks between."""
     hulls = [convex_hull(v) for v in raw if len(v) >= 4 and np.all(np.isfinite(v))]
     hulls = [h for h in hulls if not h.is_empty() and h.volume() > 0]
     total = sum(h.volume() for h in hulls)
-    kept = [h for h in hulls if h.volume() >= config.min_volume * total]
-    kept = [h for h in kept if thinnest(as_mesh(h).vertices) > _FLAT]
-    return tuple(_few_vertices(h, config) for h in kept)
+    kept = [as_mesh(h) for h in hulls if h.volume() >= config.min_volume * total]
+    kept = [piece for piece in kept if thinnest(piece.vertices) > _FLAT]
+    whole = overlap_cuts(kept, mesh, config.overlap) if len(kept) > 1 else kept
+    return tuple(_few_vertices(convex_hull(piece.vertices), config) for piece in whole)
 
 
 def _few_vertices(hull: Manifold, config: ConvexConfig) -> TriangleMesh:
     """Bound the vertices of a convex body and keep its volume.
 
-    The kept vertices are its extremes along the axes and then, one by one, the vertex farthest
-    from those kept. The smaller body is blown up about its centre to the volume it had.
+    Edges are collapsed under a growing tolerance; the smaller body is blown up about its centre
+    to the volume it had.
     """
-    mesh = as_mesh(hull)
-    if len(mesh.vertices) <= config.max_vertices:
+    fewer, tolerance = hull, _FIRST_TOLERANCE
+    while fewer.num_vert() > config.max_vertices:
+        fewer = convex_hull(as_mesh(hull.simplify(tolerance)).vertices)
+        if fewer.is_empty():
+            raise PrepareFailure(Status.DECOMPOSITION_FAILED, "a piece has too many vertices")
+        tolerance *= 1.5
+    mesh = as_mesh(fewer)
+    if fewer is hull:
         return mesh
-    kept = list(np.unique(np.concatenate([mesh.vertices.argmin(0), mesh.vertices.argmax(0)])))
-    nearest = np.min(
-        np.linalg.norm(mesh.vertices[:, None] - mesh.vertices[None, kept], axis=2), axis=1
-    )
-    while len(kept) < config.max_vertices:
-        farthest = int(np.argmax(nearest))
-        kept.append(farthest)
-        away = np.linalg.norm(mesh.vertices - mesh.vertices[farthest], axis=1)
-        nearest = np.minimum(nearest, away)
-    fewer = convex_hull(mesh.vertices[kept])
-    centre = mesh.vertices[kept].mean(axis=0)
+    centre = mass_properties(mesh).centre
     grow = (hull.volume() / fewer.volume()) ** (1 / 3)
-    fewer = as_mesh(fewer)
-    return TriangleMesh(centre + grow * (fewer.vertices - centre), fewer.faces)
+    return TriangleMesh(centre + grow * (mesh.vertices - centre), mesh.faces)

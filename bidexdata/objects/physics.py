@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from bidexdata.frames import quat_canonical, quat_from_rotation_vector
 from bidexdata.objects.config import RestConfig
+from bidexdata.objects.facets import Facets, adjacency, facets
 from bidexdata.objects.prepared import TriangleMesh
 
 
@@ -69,61 +70,26 @@ def rest_poses(hull: TriangleMesh, config: RestConfig) -> RestPoses:
         hull: Convex hull in the object frame, faces outward.
         config: Bounds on number and probability.
     """
-    facets, normals, offsets = _facets(hull, config.coplanar)
-    angles = solid_angles(hull)
-    count = len(normals)
-    share = np.bincount(facets, weights=angles, minlength=count) / (4 * np.pi)
-    target = _topple(hull, facets, normals, offsets)
-    probability = np.bincount(target, weights=share, minlength=count)
+    groups = facets(hull, config.coplanar)
+    count = len(groups.normals)
+    share = np.bincount(groups.of_face, weights=solid_angles(hull), minlength=count) / (4 * np.pi)
+    probability = np.zeros(count)
+    np.add.at(probability, _topple(hull, groups), share)
     # Equal probabilities (a box) keep a fixed order by rounding before the stable sort.
     order = np.argsort(-np.round(probability, 9), kind="stable")[: config.max_poses]
     order = order[probability[order] >= config.min_probability]
-    quats = np.array([_facing_down(normals[f]) for f in order]).reshape(-1, 4)
-    return RestPoses(quats, offsets[order], probability[order])
+    quats = np.array([_facing_down(groups.normals[f]) for f in order]).reshape(-1, 4)
+    return RestPoses(quats, groups.offsets[order], probability[order])
 
 
-def _facets(hull: TriangleMesh, angle: float):
-    """Number the facets: adjacent faces whose normals differ by less than `angle` [rad]."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
-    cross = np.cross(b - a, c - a)
-    area = np.linalg.norm(cross, axis=1)
-    unit = cross / np.maximum(area, 1e-300)[:, None]
-    first, second, _ = _adjacency(hull.faces)
-    # Slivers have no reliable normal: they follow any neighbour.
-    sliver = area < 1e-9
-    flat = np.einsum("ni,ni->n", unit[first], unit[second]) > np.cos(angle)
-    flat |= sliver[first] | sliver[second]
-    links = coo_matrix(
-        (np.ones(flat.sum()), (first[flat], second[flat])), shape=(len(area), len(area))
-    )
-    count, facets = connected_components(links, directed=False)
-    normals = np.zeros((count, 3))
-    np.add.at(normals, facets, cross)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    offsets = np.max(normals @ hull.vertices.T, axis=1)
-    return facets, normals, offsets
-
-
-def _adjacency(faces: NDArray[np.int32]):
-    """Pairs of faces that share an edge, and the edge as directed in the first of them."""
-    edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    owner = np.repeat(np.arange(len(faces)), 3)
-    key = np.sort(edges, axis=1).astype(np.int64)
-    order = np.lexsort((owner, key[:, 1], key[:, 0]))
-    same = np.all(key[order[1:]] == key[order[:-1]], axis=1)
-    return owner[order[:-1][same]], owner[order[1:][same]], edges[order[:-1][same]]
-
-
-def _topple(hull: TriangleMesh, facets, normals, offsets) -> NDArray[np.int64]:
+def _topple(hull: TriangleMesh, groups: Facets) -> NDArray[np.int64]:
     """For every facet the facet on which a body that lands there comes to rest."""
-    first, second, edges = _adjacency(hull.faces)
-    border = facets[first] != facets[second]
+    of_face, normals, offsets = groups
+    first, second, edges = adjacency(hull.faces)
+    border = of_face[first] != of_face[second]
     sides = [
-        (facets[first[border]], facets[second[border]], edges[border]),
-        (facets[second[border]], facets[first[border]], edges[border][:, ::-1]),
+        (of_face[first[border]], of_face[second[border]], edges[border]),
+        (of_face[second[border]], of_face[first[border]], edges[border][:, ::-1]),
     ]
     beyond = np.full(len(normals), 0.0)
     into = np.arange(len(normals))
