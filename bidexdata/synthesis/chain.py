@@ -22,7 +22,6 @@ from bidexdata.wrench.qp import (
 if TYPE_CHECKING:
     from bidexdata.synthesis.optimise_config import (
         AdamConfig,
-        ClosureConfig,
         EnergyConfig,
         PhaseConfig,
     )

@@ -141,8 +141,8 @@ def _pregrasp_depths(
 
     depth = np.full(len(finite), np.nan)
     joints = max(len(h.joint_names) for h in hands)
-    for one, rows in zip(attempts, _rows_per_scene(attempts), strict=True):
-        rows = rows[finite[rows]]
+    for one, every in zip(attempts, _rows_per_scene(attempts), strict=True):
+        rows = every[finite[every]]
         if len(rows) == 0:
             continue
         padded = np.full((len(rows), 2, joints), np.nan)

@@ -39,6 +39,11 @@ class OpenConstant(NamedTuple):
 _PAPER = (
     Change("regions.score", "force", "4.2: s = min over t_j of max over k of t_j . w_k"),
     Change("regions.wide", 10.0, "appendix B: pairs are dropped by the gap alone"),
+    Change("placement.over", "palm", "4.2: the palm at the closest point of the dilated hull"),
+    Change("placement.roll", 0.0, "appendix B: fingers as close as possible to a given direction"),
+    Change("placement.tilt", 0.0, "4.2: orientation aligned with the surface normal"),
+    Change("placement.shift", 0.0, "4.2: the palm at the closest point"),
+    Change("placement.flat", 0.005, "appendix B: flat when V < 0.005"),
     Change("optimise.closure.groups", "decoupled", "4.3: Q of each hand alone"),
     Change("optimise.closure.disturbances", "forces", "3: six forces along +-x, +-y, +-z"),
     Change("optimise.closure.weight_decoupled", 1000.0, "6.1: w_QP"),
@@ -67,6 +72,8 @@ PAPER_OPEN = (
     OpenConstant("optimise.pregrasp", "our measurement; distance 1 cm is the paper's"),
     OpenConstant("optimise.grasp", "our measurement; BODex switches at 80 % of the steps"),
     OpenConstant("regions.force_friction", "our measurement"),
+    OpenConstant("placement.standoff", "our measurement; BODex dilates by 10 cm"),
+    OpenConstant("placement.clearance", "our measurement"),
     OpenConstant("staging.extrapolate", "4.4, base included; BODex squeezes with the joints alone"),
 )
 

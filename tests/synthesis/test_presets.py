@@ -1,6 +1,7 @@
 """Laws of the synthesis configuration and its presets."""
 
 import dataclasses
+import itertools
 
 import pytest
 
@@ -90,7 +91,7 @@ def test_every_field_has_a_docstring_with_its_source():
         body = ast.parse(inspect.getsource(cls)).body[0].body
         texts = {
             a.target.id: b
-            for a, b in zip(body, body[1:], strict=False)
+            for a, b in itertools.pairwise(body)
             if isinstance(a, ast.AnnAssign)
         }
         for field in dataclasses.fields(cls):
