@@ -1,0 +1,270 @@
+"""Where the hands start: palms facing their regions from outside the dilated convex hull.
+
+A hand hangs over the point of the hull that is nearest to its region, palm normal against the
+hull's, so far out that its lowest fingertip and all its spheres are clear of the hull. The object
+lies inside its hull, so no start touches it. Starts in which the hands meet each other or the table
+are drawn anew.
+
+Source: BiDexGrasp 4.2 and appendix B; distances and spreads are ours (the paper gives none).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from bidexdata import frames
+from bidexdata.errors import BadConfig
+from bidexdata.hands.model import Hand
+from bidexdata.objects.prepared import PreparedObject
+from bidexdata.record.scene import Scene
+from bidexdata.synthesis.placement_shapes import StartShape, bare_of, start_shapes, tangent_frames
+from bidexdata.synthesis.regions import RegionPairs
+from bidexdata.synthesis.regions_build import hull_depth
+
+# Numbers that one hand's start draws: roll, tilt angle, tilt direction, two shifts.
+_DRAWS = 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlacementConfig:
+    """How palms start. "Prototype" is our own measurement (facts/prototype.md, section 5)."""
+
+    pairs: int = 40
+    """Best region pairs that attempts take in turn. Paper 4.2: all K_r = 40. Prototype 3.6: ranks
+    1-8 succeed in 91 %, ranks 9-12 in 85 %."""
+    standoff: float = 0.02
+    """Lowest contact sphere to the hull [m]. Prototype."""
+    clearance: float = 0.005
+    """Every collision sphere to the hull, to the table and to the other hand [m]. Prototype's margin
+    between hands."""
+    over: Literal["contacts", "palm"] = "contacts"
+    """What hangs over the hull point: the middle of the contact points (prototype), or the palm
+    (paper)."""
+    roll: float = pi
+    """Largest turn about the palm normal from the preferred direction [rad]: pi is any roll
+    (prototype: no effect on success), 0 the paper's preferred direction."""
+    left_direction: tuple[float, float, float] = (1.0, -1.0, -1.0)
+    """Preferred direction of the left hand's fingers in the world. Paper, appendix B."""
+    right_direction: tuple[float, float, float] = (1.0, 1.0, -1.0)
+    """The same for the right hand. Paper, appendix B."""
+    tilt: float = pi / 36
+    """Largest angle between palm normal and inward hull normal [rad], 5 degrees. Prototype."""
+    shift: float = 0.015
+    """Largest shift along each palm axis [m]. Prototype."""
+    flat: float = 0.02
+    """Regions with V below this start with the open posture. Prototype; paper, appendix B: 0.005."""
+    draws: int = 8
+    """Draws per attempt before it counts as not placeable. Ours."""
+
+    def __post_init__(self) -> None:
+        ranges = {
+            "pairs": (1, 100_000),
+            "standoff": (0.0, 1.0),
+            "clearance": (0.0, 1.0),
+            "roll": (0.0, pi),
+            "tilt": (0.0, pi / 4),
+            "shift": (0.0, 1.0),
+            "flat": (0.0, 2.0),
+            "draws": (1, 1000),
+        }
+        for name, (low, high) in ranges.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise BadConfig(
+                    f"PlacementConfig.{name} must lie between {low:g} and {high:g}, not {value!r}"
+                )
+        for name in ("left_direction", "right_direction"):
+            if not np.linalg.norm(getattr(self, name)) > 0:
+                raise BadConfig(f"PlacementConfig.{name} must not be the zero vector")
+
+
+class Placement(NamedTuple):
+    """Starts of M attempts; world frame."""
+
+    pair_index: Int[np.ndarray, "M"]
+    """Region pair of each attempt."""
+    hand_pos: Float[np.ndarray, "M 2 3"]
+    """Origins of the hand frames [m]."""
+    hand_quat: Float[np.ndarray, "M 2 4"]
+    """Their orientations, wxyz."""
+    joints: Float[np.ndarray, "M 2 J"]
+    """Start postures [rad]; the shorter hand's rows end in NaN."""
+    ok: Bool[np.ndarray, "M"]
+    """Clear of each other and of the table; the poses of the others are their last draw."""
+
+
+def place_palms(
+    obj: PreparedObject,
+    hands: Sequence[Hand],
+    scene: Scene,
+    pairs: RegionPairs,
+    config: PlacementConfig,
+    rng: np.random.Generator,
+    count: int,
+) -> Placement:
+    """Place both hands for attempts 0 .. count - 1, which take the region pairs in turn.
+
+    An attempt's draws do not depend on how many attempts follow it.
+
+    Args:
+        obj: Gives the hull.
+        hands: (left, right).
+        scene: Size, pose and setting.
+        pairs: At least one region pair, object frame.
+        config: Distances and spreads.
+        rng: Draws `config.draws` variations of every attempt, used or not.
+        count: M.
+    """
+    pair_index = np.arange(count) % min(pairs.count, config.pairs)
+    lots = rng.random((count, config.draws, 2, _DRAWS))
+    centres = pairs.centres[pair_index]
+    depth, normal = hull_depth(obj, scene.size, centres.reshape(-1, 3))
+    normal = normal.reshape(count, 2, 3)
+    over = centres + depth.reshape(count, 2, 1) * normal
+    flat = pairs.flatness[pair_index] < config.flat
+    shapes = [start_shapes(hand, config.over) for hand in hands]
+
+    pos, quat = np.zeros((count, 2, 3)), np.zeros((count, 2, 4))
+    spheres: list[list[np.ndarray]] = [[], []]
+    ok = np.zeros(count, bool)
+    todo = np.arange(count)
+    for draw in range(config.draws):
+        spheres = [[], []]
+        for h in range(2):
+            p, R, balls = _hang(
+                shapes[h],
+                flat[todo, h],
+                over[todo, h],
+                normal[todo, h],
+                _preferred(scene, config, h),
+                _variation(lots[todo, draw, h], config, mirrored=h == 0),
+                config,
+            )
+            pos[todo, h], quat[todo, h] = p, frames.quat_from_matrix(R)
+            spheres[h] = [balls, shapes[h][0].sphere_radius]
+        free = bare_of(spheres[0], spheres[1], config.clearance)
+        if scene.setting == "tabletop":
+            free &= _above_table(scene, spheres, config.clearance)
+        ok[todo[free]] = True
+        todo = todo[~free]
+        if not len(todo):
+            break
+    world_pos, world_quat = _in_world(scene, pos, quat)
+    return Placement(pair_index, world_pos, world_quat, _postures(hands, shapes, flat), ok)
+
+
+class _Variation(NamedTuple):
+    """What one start draws; in the palm frame."""
+
+    roll: Float[np.ndarray, "n"]
+    """About the palm normal [rad]."""
+    tilt: Float[np.ndarray, "n 3"]
+    """Rotation vector in the palm's plane [rad]."""
+    shift: Float[np.ndarray, "n 2"]
+    """Along the palm's x and y [m]."""
+
+
+def _variation(
+    lots: Float[np.ndarray, "n 5"], config: PlacementConfig, *, mirrored: bool
+) -> _Variation:
+    """Scale uniform numbers; the left hand gets the mirror image (y -> -y) of the right's."""
+    side = -1.0 if mirrored else 1.0
+    angle, heading = config.tilt * lots[:, 1], 2.0 * pi * lots[:, 2]
+    # A rotation vector is axial: the reflection turns its part in the mirror plane (x, z).
+    tilt = np.stack(
+        [side * angle * np.cos(heading), angle * np.sin(heading), np.zeros_like(angle)], axis=1
+    )
+    shift = config.shift * (2.0 * lots[:, 3:5] - 1.0) * np.array([1.0, side])
+    return _Variation(side * config.roll * (2.0 * lots[:, 0] - 1.0), tilt, shift)
+
+
+def _hang(
+    shapes: tuple[StartShape, StartShape],
+    flat: Bool[np.ndarray, "n"],
+    over: Float[np.ndarray, "n 3"],
+    normal: Float[np.ndarray, "n 3"],
+    direction: Float[np.ndarray, "3"],
+    drawn: _Variation,
+    config: PlacementConfig,
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n K 3"]]:
+    """Hang one hand over hull points: its pose and its spheres, all in the object frame.
+
+    Args:
+        shapes: The hand in its open and in its curved posture, palm frame.
+        flat: Which starts take the open posture.
+        over: Hull points [m].
+        normal: Outward hull normals there.
+        direction: Preferred direction of the fingers, object frame.
+        drawn: Variations.
+        config: Distances.
+    """
+    pick = np.where(flat, 0, 1)
+    contacts = np.stack([s.contacts for s in shapes])[pick]
+    balls = np.stack([s.spheres for s in shapes])[pick]
+    middle = np.stack([s.middle for s in shapes])[pick]
+    turn = np.zeros((len(flat), 3))
+    turn[:, 2] = drawn.roll
+    variation = frames.quat_multiply(
+        frames.quat_from_rotation_vector(turn), frames.quat_from_rotation_vector(drawn.tilt)
+    )
+    R = tangent_frames(-normal, direction) @ frames.matrix_from_quat(variation)
+    # Heights over the hull's supporting plane, with the palm's origin in that plane.
+    up = np.einsum("nij,ni->nj", R, normal)
+    tips = np.einsum("nci,ni->nc", contacts, up) - shapes[0].contact_radius
+    lowest = np.einsum("nki,ni->nk", balls, up) - shapes[0].sphere_radius
+    lift = np.maximum(config.standoff - tips.min(axis=1), config.clearance - lowest.min(axis=1))
+    # The middle comes to lie over the hull point, up to the shift; its height is free.
+    sideways = np.einsum("nij,nj->ni", R, np.pad(drawn.shift, ((0, 0), (0, 1))) - middle)
+    sideways -= np.einsum("ni,ni->n", sideways, normal)[:, None] * normal
+    palm = over + sideways + lift[:, None] * normal
+    spheres = balls @ np.swapaxes(R, -1, -2) + palm[:, None]
+    T_palm_hand = shapes[0].T_palm_hand
+    return palm + R @ T_palm_hand[:3, 3], R @ T_palm_hand[:3, :3], spheres
+
+
+def _preferred(scene: Scene, config: PlacementConfig, side: int) -> Float[np.ndarray, "3"]:
+    """Preferred direction of a side's fingers in the object frame, unit length."""
+    world = np.array(config.left_direction if side == 0 else config.right_direction)
+    to_object = frames.quat_conjugate(np.array(scene.object_quat_wxyz))
+    return frames.quat_rotate(to_object, world / np.linalg.norm(world))
+
+
+def _above_table(
+    scene: Scene, spheres: list[list[np.ndarray]], clearance: float
+) -> Bool[np.ndarray, "n"]:
+    """Tell which starts keep all spheres above the table's plane z = 0 of the world."""
+    up = frames.matrix_from_quat(np.array(scene.object_quat_wxyz))[2]
+    clear = [
+        (balls @ up + scene.object_pos[2] - radius).min(axis=1) >= clearance
+        for balls, radius in spheres
+    ]
+    return clear[0] & clear[1]
+
+
+def _in_world(
+    scene: Scene, pos: Float[np.ndarray, "M 2 3"], quat: Float[np.ndarray, "M 2 4"]
+) -> tuple[Float[np.ndarray, "M 2 3"], Float[np.ndarray, "M 2 4"]]:
+    """Move hand poses from the object frame to the world."""
+    q = np.array(scene.object_quat_wxyz)
+    moved = frames.quat_rotate(q, pos) + np.array(scene.object_pos)
+    return moved, frames.quat_canonical(frames.quat_multiply(q, quat))
+
+
+def _postures(
+    hands: Sequence[Hand],
+    shapes: list[tuple[StartShape, StartShape]],
+    flat: Bool[np.ndarray, "M 2"],
+) -> Float[np.ndarray, "M 2 J"]:
+    """Start joints of every attempt [rad]."""
+    widest = max(len(hand.joint_names) for hand in hands)
+    joints = np.full((len(flat), 2, widest), np.nan)
+    for h, (open_, curved) in enumerate(shapes):
+        own = np.where(flat[:, h, None], open_.joints, curved.joints)
+        joints[:, h, : own.shape[1]] = own
+    return joints
