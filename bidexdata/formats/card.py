@@ -63,7 +63,7 @@ def _values(root: Path, head: Mapping[str, Any]) -> dict[str, Any]:
         "by_size": _by_size(figures),
         "by_status": _counts(figures["by_status"], "status", "attempts"),
         "by_verdict": _counts(figures["by_verdict"], "verdict", "rows"),
-        "split_text": f"{100 * split['test_fraction']:.0f} % to test, seed {split['seed']}",
+        "split_text": f"{100 * split['test_fraction']:.0f} % asked for test, seed {split['seed']}",
         "splits": _splits(root),
         "licences": _licences(root),
         "runs": _runs(root),

@@ -141,7 +141,7 @@ class Release:
             UnknownName: The release has no such object.
         """
         self._check_object(object_id)
-        return read_solid(object_folder(self.path, object_id))
+        return read_solid(self.path / object_folder(object_id))
 
     def cloud(self, kind: str = "cloud_solid", object_id: str | None = None) -> NDArray[np.float32]:
         """Point clouds at unit diagonal: all (K, P, 3), mapped, or one object's (P, 3).

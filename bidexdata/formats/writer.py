@@ -175,7 +175,7 @@ def _write_objects(
     for i, object_id in enumerate(ids):
         obj = load_object(object_id)
         rows.append(object_row(obj, shape_hash(obj)))
-        write_solid(object_folder(root, object_id), obj)
+        write_solid(root / object_folder(object_id), obj)
         for kind, mesh in (("cloud_solid", obj.solid), ("cloud_mesh", obj.mesh)):
             key = f"{object_id}/{kind}"
             arrays[kind][i] = clouds.surface_cloud(mesh.vertices, mesh.faces, cloud_points, key)
