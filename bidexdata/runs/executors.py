@@ -129,7 +129,7 @@ def _start_ray(workers: int) -> tuple[Any, bool]:
         return ray, False
     # Inside a cluster (`ray start`, a Slurm script) RAY_ADDRESS names it; otherwise a local one.
     local = not os.environ.get("RAY_ADDRESS")
-    env = dict.fromkeys(THREAD_VARIABLES, "1")
+    env: dict[str, str] = dict.fromkeys(THREAD_VARIABLES, "1")
     if local:  # as spawned workers do: what is importable here is importable there
         env["PYTHONPATH"] = os.pathsep.join(p for p in sys.path if p)
     ray.init(

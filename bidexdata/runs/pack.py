@@ -1,0 +1,233 @@
+"""The pack stage: one or several runs become a release."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
+
+from bidexdata.errors import NotUsable
+from bidexdata.runs.progress import Progress
+from bidexdata.runs.run import Run, join_tasks
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from bidexdata.formats.release import ReleaseRows, RunInfo
+    from bidexdata.objects.prepared import PreparedObject
+
+Test = tuple[str, str]
+Licences = Literal["permissive", "nc-ok"]
+PERMISSIVE = (
+    "cc0-1.0",
+    "cc-by-3.0",
+    "cc-by-4.0",
+    "mit",
+    "apache-2.0",
+    "bsd-2-clause",
+    "bsd-3-clause",
+    "unlicense",
+    "odc-by-1.0",
+)
+"""SPDX identifiers, lower case, that allow any use with at most attribution."""
+DEFAULT_PROTOCOL = "paper-1"
+
+
+@dataclass(frozen=True, slots=True)
+class PackReport:
+    """What was packed."""
+
+    path: Path
+    figures: Mapping[str, Any]
+    """As in the manifest and the card."""
+    unfinished: Mapping[str, int] = field(default_factory=dict)
+    """Tasks per run that are not done; their rows are not in the release."""
+    untested: int = 0
+    """Objects without verdicts because not all their rows are validated."""
+    left_out: tuple[str, ...] = ()
+    """Objects left out for their licence."""
+
+
+class NamedRun(NamedTuple):
+    """A run and its name in the release."""
+
+    name: str
+    run: Run
+
+
+def pack_runs(
+    paths: Sequence[str | Path],
+    out: str | Path,
+    *,
+    name: str,
+    version: str,
+    form: str = "both",
+    licences: Licences = "nc-ok",
+    protocol: str = DEFAULT_PROTOCOL,
+    seed: int = 0,
+    quiet: bool = False,
+) -> PackReport:
+    """Write a release of all finished rows of some runs.
+
+    Args:
+        paths: Runs of the same hands; every run once.
+        out: The release folder; must not exist or be empty.
+        name: Name of the data set.
+        version: Its version, X.Y.Z.
+        form: `both`, or `parquet` without the training form.
+        licences: `permissive` leaves out objects under any other or an unknown licence.
+        protocol: Whose verdicts become `suc_*` and the metrics.
+        seed: Seed of the split into train and test.
+        quiet: No progress.
+
+    Raises:
+        NotUsable: Nothing to pack, runs that do not fit together, or a bad name or target.
+    """
+    from bidexdata.formats.release import write_release
+
+    runs = _named([Run.open(p) for p in paths])
+    _check_hands(runs)
+    objects = _objects(runs)
+    left_out = _refused_by_licence(objects, licences)
+    ids = sorted(set(objects) - set(left_out))
+    if not ids:
+        raise NotUsable("there is nothing to pack: no run has finished rows of a usable object")
+    tests = sorted({t for r in runs for t in r.run.verdict_tests()})
+    untested: Counter[str] = Counter()
+
+    def rows_of(object_id: str) -> Iterator[ReleaseRows]:
+        for one in runs:
+            rows = rows_of_object(one.run, object_id, one.name, tests)
+            if rows is not None:
+                untested[object_id] += int(set(rows.verdicts) < set(one.run.verdict_tests()))
+                yield rows
+
+    def load_object(object_id: str) -> PreparedObject:
+        return objects[object_id].library.load(object_id)
+
+    with Progress(len(ids), "objects", quiet) as progress:
+        summary = write_release(
+            Path(out),
+            name=name,
+            version=version,
+            object_ids=ids,
+            rows_of=rows_of,
+            load_object=load_object,
+            hands=runs[0].run.hands(),
+            runs=[run_info(r) for r in runs],
+            tests=tests,
+            default_protocol=protocol,
+            seed=seed,
+            form=cast("Any", form),
+            on_object=lambda object_id: progress.advance(note=object_id),
+        )
+    unfinished = {r.name: len(r.run.tasks) - len(r.run.done()) for r in runs}
+    return PackReport(
+        summary.path,
+        summary.figures,
+        {k: v for k, v in unfinished.items() if v},
+        sum(1 for n in untested.values() if n),
+        tuple(left_out),
+    )
+
+
+def rows_of_object(
+    run: Run, object_id: str, name: str, tests: Sequence[Test]
+) -> ReleaseRows | None:
+    """All finished rows of one object of a run, rounds joined, with their verdicts.
+
+    A test that is not finished for all these rows is left out: half-tested scenes have no rate.
+    """
+    import numpy as np
+
+    from bidexdata.formats.release import ReleaseRows
+
+    done = run.done()
+    tasks = [t for t in run.tasks_of(object_id) if t.task_id in done]
+    if not tasks:
+        return None
+    batches = [run.task_batch(t) for t in tasks]
+    verdicts: dict[Test, dict[str, np.ndarray]] = {}
+    for protocol, test in tests:
+        if {t.task_id for t in tasks} <= run.done(protocol, test):
+            pairs = zip(tasks, batches, strict=True)
+            parts = [run.task_verdicts(t, b, protocol, test) for t, b in pairs]
+            verdicts[protocol, test] = {c: np.concatenate([p[c] for p in parts]) for c in parts[0]}
+    return ReleaseRows(name, join_tasks(batches), verdicts)
+
+
+def run_info(one: NamedRun) -> RunInfo:
+    """What the release's table of runs says of a run: no paths, no times."""
+    from bidexdata.formats.release import RunInfo
+
+    spec = one.run.spec
+    return RunInfo(
+        name=one.name,
+        fingerprint=spec.fingerprint,
+        grasps=spec.grasps,
+        candidates=spec.candidates,
+        seed=spec.seed,
+        preset=spec.preset,
+        setting=spec.setting,
+        library_fingerprint=spec.source_fingerprint,
+        version=spec.versions.get("bidexdata", ""),
+        config=spec.config,
+    )
+
+
+def _named(runs: Sequence[Run]) -> list[NamedRun]:
+    folders = [r.path.resolve() for r in runs]
+    if len(set(folders)) < len(folders):
+        twice = next(f for f in folders if folders.count(f) > 1)
+        raise NotUsable(f"{twice} is named twice; pack every run once")
+    for run in runs:
+        if run.spec.kind == "release":
+            raise NotUsable(f"{run.path} re-tests a release; it holds no rows of its own to pack")
+    seen: Counter[str] = Counter()
+    named = []
+    for run, folder in zip(runs, folders, strict=True):
+        seen[folder.name] += 1
+        number = seen[folder.name]
+        named.append(NamedRun(folder.name if number == 1 else f"{folder.name}-{number}", run))
+    return named
+
+
+def _check_hands(runs: Sequence[NamedRun]) -> None:
+    first = runs[0]
+    for other in runs[1:]:
+        if other.run.spec.hands != first.run.spec.hands:
+            raise NotUsable(
+                f"{other.run.path} has other hands ({other.run.spec.hand}) than {first.run.path} "
+                f"({first.run.spec.hand}), or another version of them; pack them apart"
+            )
+
+
+def _objects(runs: Sequence[NamedRun]) -> dict[str, Run]:
+    """The objects with finished rows, and a run whose library has each."""
+    found: dict[str, Run] = {}
+    for one in runs:
+        done = one.run.done()
+        for object_id in one.run.object_ids:
+            if not any(t.task_id in done for t in one.run.tasks_of(object_id)):
+                continue
+            known = found.setdefault(object_id, one.run)
+            mine, theirs = (r.library.row(object_id)["content_sha256"] for r in (one.run, known))
+            if mine != theirs:
+                raise NotUsable(
+                    f"object {object_id} has another shape in the library of {one.run.path} than "
+                    f"in that of {known.path}; pack runs of equally prepared objects"
+                )
+    return found
+
+
+def _refused_by_licence(objects: Mapping[str, Run], licences: Licences) -> list[str]:
+    if licences == "nc-ok":
+        return []
+    refused = []
+    for object_id, run in objects.items():
+        licence = str(run.library.row(object_id)["licence"] or "").strip().lower()
+        if licence not in PERMISSIVE:
+            refused.append(object_id)
+    return sorted(refused)

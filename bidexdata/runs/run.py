@@ -1,0 +1,226 @@
+"""Run: a folder of grasps in the making; what it is, how far it is, and its rows.
+
+Layout: run.json, tasks.parquet, `synth/` (or `import/`) shards with all columns so far,
+`validate/<protocol>/<test>/` shards with `grasp_id` and verdict columns, `logs/`. Rows of later
+stages have the order of the first stage's; reading joins by position and checks the ids.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from bidexdata.errors import ConfigConflict, Contradiction, PathNotFound
+from bidexdata.record import FIELDS, GraspBatch, Header
+from bidexdata.record.fields import columns_written_by
+from bidexdata.runs.plan import Task, read_plan
+from bidexdata.runs.shards import done_tasks, read_shard, shard_path
+from bidexdata.runs.spec import RunSpec, read_spec
+
+if TYPE_CHECKING:
+    from bidexdata.hands import Hand, Side
+    from bidexdata.objects.library import Library
+    from bidexdata.objects.prepared import Solid
+
+PLAN_FILE = "tasks.parquet"
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run folder, opened; make it with `Run.open`."""
+
+    path: Path
+    spec: RunSpec
+    """What run.json says."""
+
+    @classmethod
+    def open(cls, path: str | Path) -> Run:
+        """Open a run.
+
+        Raises:
+            PathNotFound: There is no run at `path`.
+            Contradiction: run.json is damaged or its schema is newer than this package.
+        """
+        return cls(Path(path), read_spec(Path(path)))
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of the configuration, hands, library and seed that made the run."""
+        return self.spec.fingerprint
+
+    @cached_property
+    def tasks(self) -> tuple[Task, ...]:
+        """The plan, in its order."""
+        path = self.path / PLAN_FILE
+        if not path.is_file():
+            raise PathNotFound(path, "the plan of a run; `bidexdata synth` writes it")
+        return tuple(read_plan(path))
+
+    @property
+    def object_ids(self) -> tuple[str, ...]:
+        """Objects of the plan, sorted."""
+        return tuple(sorted({t.object_id for t in self.tasks}))
+
+    @cached_property
+    def library(self) -> Library:
+        """The library that the run was made from.
+
+        Raises:
+            PathNotFound: It is not where run.json says.
+            ConfigConflict: It has changed since.
+        """
+        from bidexdata.objects.library import Library
+
+        library = Library.open(self._source())
+        if library.fingerprint != self.spec.source_fingerprint:
+            change = f"{self.spec.source_fingerprint!r} -> {library.fingerprint!r}"
+            raise ConfigConflict(self.path, [f"library.fingerprint: {change}"])
+        return library
+
+    def load_solid(self, object_id: str) -> Solid:
+        """Load an object of the run from its library (or from the release it re-tests)."""
+        if self.spec.kind == "release":
+            from bidexdata.formats.release import Release
+
+            return Release.open(self._source()).load_solid(object_id)
+        return self.library.load_solid(object_id)
+
+    def hands(self) -> tuple[Hand, ...]:
+        """Load the run's hands, in the order of the H axis.
+
+        Raises:
+            ConfigConflict: A hand's spec or files have changed since the run was made.
+        """
+        from bidexdata.hands import load_hand
+
+        names = [_resolve_hand(n.strip(), self.path) for n in self.spec.hand.split(",")]
+        hands = []
+        for number, header in enumerate(self.spec.hands):
+            hand = load_hand(names[min(number, len(names) - 1)], cast("Side", header.side))
+            if hand.spec_hash != header.spec_hash:
+                change = f"{header.spec_hash[:12]!r} -> {hand.spec_hash[:12]!r}"
+                raise ConfigConflict(self.path, [f"hands.{header.side}.spec_hash: {change}"])
+            hands.append(hand)
+        return tuple(hands)
+
+    def stage_folder(self, stage: str, protocol: str = "", test: str = "") -> Path:
+        """Folder of a stage's shards: `rows`, or `validate` with a protocol and a test."""
+        if stage == "validate":
+            return self.path / stage / protocol / test
+        return self.path / ("synth" if self.spec.kind == "synth" else "import")
+
+    def verdict_tests(self) -> list[tuple[str, str]]:
+        """The (protocol, test) pairs that have shards."""
+        folders = sorted((self.path / "validate").glob("*/*"))
+        return [(f.parent.name, f.name) for f in folders if done_tasks(f)]
+
+    def done(self, protocol: str | None = None, test: str = "f") -> set[str]:
+        """Ids of the planned tasks whose rows (or verdicts) are there."""
+        folder = (
+            self.stage_folder("rows")
+            if protocol is None
+            else self.stage_folder("validate", protocol, test)
+        )
+        return done_tasks(folder) & {t.task_id for t in self.tasks}
+
+    def task_batch(
+        self, task: Task, protocol: str | None = None, test: str | None = None
+    ) -> GraspBatch:
+        """Rows of one finished task, joined with verdicts where a protocol is named.
+
+        Raises:
+            PathNotFound: The task, or its validation, is not done.
+            ConfigConflict: Another configuration made the shard.
+            Contradiction: A shard is damaged, or its ids are not those of the rows.
+        """
+        path = shard_path(self.stage_folder("rows"), task.task_id)
+        batch = GraspBatch.from_arrow(read_shard(path, self.fingerprint))
+        if protocol is None:
+            return batch
+        return batch.with_columns(**self.task_verdicts(task, batch, protocol, test or "f"))
+
+    def task_verdicts(
+        self, task: Task, batch: GraspBatch, protocol: str, test: str
+    ) -> dict[str, np.ndarray]:
+        """Verdict columns of one validated task, row by row for `batch`."""
+        path = shard_path(self.stage_folder("validate", protocol, test), task.task_id)
+        joined = GraspBatch.from_arrow(read_shard(path))
+        if not np.array_equal(joined["grasp_id"], batch["grasp_id"]):
+            raise Contradiction(f"{path}: its grasp ids are not those of the rows; delete it")
+        names = [n for n in joined.columns if FIELDS[n].written_by == "validate"]
+        return {n: joined[n] for n in names}
+
+    def batches(self, protocol: str | None = None, test: str | None = None) -> Iterator[GraspBatch]:
+        """Yield the rows of every finished task in the order of the plan.
+
+        Args:
+            protocol: Join this protocol's verdicts; tasks not yet validated are left out.
+            test: Of the protocol; `f` when not given.
+        """
+        done = self.done()
+        if protocol is not None:
+            done &= self.done(protocol, test or "f")
+        for task in self.tasks:
+            if task.task_id in done:
+                yield self.task_batch(task, protocol, test)
+
+    def object_batch(
+        self, object_id: str, protocol: str | None = None, test: str | None = None
+    ) -> GraspBatch | None:
+        """All finished rows of one object, rounds joined; None where there are none."""
+        done = self.done() if protocol is None else self.done() & self.done(protocol, test or "f")
+        mine = [t for t in self.tasks_of(object_id) if t.task_id in done]
+        return join_tasks([self.task_batch(t, protocol, test) for t in mine]) if mine else None
+
+    def tasks_of(self, object_id: str) -> list[Task]:
+        """The tasks of one object, in plan order."""
+        return self._by_object.get(object_id, [])
+
+    @cached_property
+    def _by_object(self) -> Mapping[str, list[Task]]:
+        found: dict[str, list[Task]] = {}
+        for task in self.tasks:
+            found.setdefault(task.object_id, []).append(task)
+        return found
+
+    def _source(self) -> Path:
+        path = (self.path / self.spec.source).resolve()
+        if not path.is_dir():
+            wanted = "the release" if self.spec.kind == "release" else "the library"
+            raise PathNotFound(path, f"{wanted} that {self.path / 'run.json'} names")
+        return path
+
+
+def join_tasks(batches: list[GraspBatch]) -> GraspBatch:
+    """Join tasks of one run; attempts of a scene in several rounds are added up."""
+    joined = GraspBatch.concat(batches)
+    counts: dict[str, Counter[str]] = {}
+    for batch in batches:
+        for scene, found in batch.header.counts.items():
+            counts.setdefault(scene, Counter()).update(found)
+    header = dataclasses.replace(
+        joined.header, counts={scene: dict(found) for scene, found in counts.items()}
+    )
+    return dataclasses.replace(joined, header=header)
+
+
+def verdict_batch(
+    header: Header, grasp_id: np.ndarray, columns: Mapping[str, np.ndarray]
+) -> GraspBatch:
+    """What a validate shard holds: `grasp_id` and the verdict columns in table order."""
+    ordered = {n: columns[n] for n in columns_written_by("validate") if n in columns}
+    lean = dataclasses.replace(header, counts={})
+    return GraspBatch(lean, {"grasp_id": grasp_id, **ordered})
+
+
+def _resolve_hand(name: str, run: Path) -> str:
+    if name.endswith((".yaml", ".yml")):
+        return str((run / name).resolve())
+    return name

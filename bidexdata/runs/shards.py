@@ -1,0 +1,156 @@
+"""Shards: one Arrow file per task and stage; that it exists is the only mark of "done".
+
+A shard is written to a temporary name beside its place, synced, and renamed, so a reader or a
+resumed run never sees half of one. It carries the fingerprint of the configuration that made it.
+The same task gives the same bytes, so two machines that compute one twice do no harm.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bidexdata.errors import ConfigConflict, Contradiction, PathNotFound
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_KEY = b"bidexdata_shard"
+_SUFFIX = ".arrow"
+STALE_AFTER = 24 * 3600.0
+"""Age at which another machine's temporary file is taken for an orphan [s]."""
+
+
+def shard_path(stage_folder: Path, task_id: str) -> Path:
+    """Place of a task's shard: `<stage>/<first 2 hex digits>/<task_id>.arrow`."""
+    return stage_folder / task_id[:2] / f"{task_id}{_SUFFIX}"
+
+
+def done_tasks(stage_folder: Path) -> set[str]:
+    """Ids of the tasks whose shard is there."""
+    return {p.stem for p in stage_folder.glob(f"??/*{_SUFFIX}") if not p.name.startswith(".")}
+
+
+def write_shard(path: Path, table: pa.Table, fingerprint: str) -> None:
+    """Write a table as a shard, atomically.
+
+    Args:
+        path: From `shard_path`.
+        table: Rows in their final order; may be empty.
+        fingerprint: Of the configuration that made the rows.
+    """
+    import pyarrow as pa
+    from pyarrow import ipc
+
+    mark = json.dumps({"fingerprint": fingerprint, "rows": table.num_rows}, sort_keys=True)
+    metadata = {**(table.schema.metadata or {}), _KEY: mark.encode()}
+    table = table.replace_schema_metadata(metadata).combine_chunks()
+    options = ipc.IpcWriteOptions(compression="zstd")
+
+    def write(temporary: Path) -> None:
+        with (
+            pa.OSFile(str(temporary), "wb") as sink,
+            ipc.new_file(sink, table.schema, options=options) as writer,
+        ):
+            writer.write_table(table)
+
+    write_atomically(path, write)
+
+
+def read_shard(path: Path, fingerprint: str | None = None) -> pa.Table:
+    """Read a shard.
+
+    Args:
+        path: From `shard_path`.
+        fingerprint: Expected; any when None.
+
+    Raises:
+        PathNotFound: The task is not done.
+        ConfigConflict: Another configuration made the shard.
+        Contradiction: The file is damaged.
+    """
+    import pyarrow as pa
+    from pyarrow import ipc
+
+    if not path.is_file():
+        raise PathNotFound(path, "the shard of a finished task")
+    try:
+        # Not memory-mapped: a file changed under a map would change numbers or crash.
+        table = ipc.open_file(pa.BufferReader(path.read_bytes())).read_all()
+        table.validate(full=True)
+        mark = json.loads((table.schema.metadata or {})[_KEY])
+        made_by, rows = mark["fingerprint"], mark["rows"]
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as err:
+        raise Contradiction(
+            f"{path}: damaged shard ({str(err).splitlines()[0] if str(err) else 'unreadable'}); "
+            "delete it and run the command again"
+        ) from err
+    if rows != table.num_rows:
+        raise Contradiction(f"{path}: damaged shard ({table.num_rows} of {rows} rows); delete it")
+    if fingerprint is not None and made_by != fingerprint:
+        raise ConfigConflict(path, [f"fingerprint: {made_by!r} -> {fingerprint!r}"])
+    return table
+
+
+def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+    """Let `write` fill a temporary file, sync it and rename it to `path`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.parent / f".{path.name}.{socket.gethostname()}.{os.getpid()}.tmp"
+    try:
+        write(temporary)
+        with temporary.open("rb") as handle:
+            os.fsync(handle.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    _sync_folder(path.parent)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically."""
+
+    def write(temporary: Path) -> None:
+        temporary.write_text(text, encoding="utf-8")
+
+    write_atomically(path, write)
+
+
+def sweep(folders: Iterable[Path]) -> int:
+    """Delete temporary files that killed writers left; count them."""
+    host, now, removed = socket.gethostname(), time.time(), 0
+    for folder in folders:
+        for path in folder.glob("**/.*.tmp"):
+            pid = path.name.removesuffix(".tmp").rpartition(".")[2]
+            ours = path.name.endswith(f".{host}.{pid}.tmp") and pid.isdecimal()
+            with contextlib.suppress(OSError):
+                old = now - path.stat().st_mtime > STALE_AFTER
+                if old or (ours and not _alive(int(pid))):
+                    path.unlink()
+                    removed += 1
+    return removed
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # it is there, and not ours
+        return True
+    return True
+
+
+def _sync_folder(folder: Path) -> None:
+    # The rename itself must survive a power cut; not every file system lets us ask for it.
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -1,0 +1,164 @@
+"""RunSpec: what run.json says; what a run is, apart from how far it is."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from bidexdata.config import differing_keys, fingerprint, from_plain, to_plain
+from bidexdata.errors import BidexError, ConfigConflict, Contradiction, PathNotFound
+from bidexdata.record import HandHeader
+from bidexdata.record.batch import SCHEMA_VERSION
+from bidexdata.record.scene import Setting
+from bidexdata.runs.plan import Round
+from bidexdata.runs.shards import write_text
+
+RUN_FILE = "run.json"
+_PACKAGES = ("mujoco", "numpy", "pyarrow", "warp-lang")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunSpec:
+    """The contents of run.json."""
+
+    kind: Literal["synth", "import", "release"] = "synth"
+    """Where the rows come from: made here, imported from another format, or a release's."""
+    preset: str = ""
+    config: Mapping[str, Any] = field(default_factory=dict)
+    """Plain data of the SynthConfig."""
+    hand: str = ""
+    """What `--hand` was: one name or LEFT,RIGHT; paths of specs are relative to the run."""
+    hands: tuple[HandHeader, ...] = ()
+    sizes_mm: tuple[int, ...] = ()
+    setting: Setting = "floating"
+    source: str = ""
+    """The library's (or, for kind `release`, the release's) path relative to the run."""
+    source_fingerprint: str = ""
+    seed: int = 0
+    rounds: tuple[Round, ...] = ()
+    """Empty for imported rows, which have no attempts."""
+    versions: Mapping[str, str] = field(default_factory=dict)
+    """Of the packages that started the run; information only."""
+    schema_version: str = SCHEMA_VERSION
+
+    @property
+    def grasps(self) -> int | None:
+        """Grasps kept per scene, all rounds together; None for imported rows."""
+        return sum(r.grasps for r in self.rounds) or None
+
+    @property
+    def candidates(self) -> int | None:
+        """Attempts per scene, all rounds together; None for imported rows."""
+        return sum(r.candidates for r in self.rounds) or None
+
+    def identity(self) -> dict[str, Any]:
+        """What may never change in a run: everything but rounds, versions and paths."""
+        return {
+            "kind": self.kind,
+            "config": to_plain(self.config),
+            "hands": {h.side: {"name": h.name, "spec_hash": h.spec_hash} for h in self.hands},
+            "sizes_mm": list(self.sizes_mm),
+            "setting": self.setting,
+            "library": {"fingerprint": self.source_fingerprint},
+            "seed": self.seed,
+        }
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of `identity()`: part of every grasp_id, and carried by every shard."""
+        return fingerprint(self.identity())
+
+
+def grown(folder: Path, old: RunSpec, wanted: RunSpec) -> RunSpec:
+    """Join what a run is with what a command asks for; only `--grasps` may grow.
+
+    Args:
+        folder: The run, for the message.
+        old: The run's spec.
+        wanted: The command's, with a single round.
+
+    Returns:
+        The old spec, with one more round where more grasps are asked for.
+
+    Raises:
+        ConfigConflict: Another configuration, or fewer grasps; names the keys.
+    """
+    differing = differing_keys(old.identity(), wanted.identity())
+    grasps, candidates = wanted.grasps or 0, wanted.candidates or 0
+    had_grasps, had_candidates = old.grasps or 0, old.candidates or 0
+    if grasps < had_grasps:
+        differing.append(f"grasps: {had_grasps!r} -> {grasps!r} (it may only grow)")
+    elif grasps == had_grasps and candidates != had_candidates:
+        differing.append(f"candidates: {had_candidates!r} -> {candidates!r}")
+    elif grasps > had_grasps and candidates - had_candidates < grasps - had_grasps:
+        differing.append(
+            f"candidates: {had_candidates!r} -> {candidates!r} (each new grasp needs an attempt)"
+        )
+    if differing:
+        raise ConfigConflict(folder, differing)
+    if grasps == had_grasps:
+        return old
+    extra = Round(grasps - had_grasps, candidates - had_candidates, had_candidates)
+    return dataclasses.replace(old, rounds=(*old.rounds, extra))
+
+
+def write_spec(folder: Path, spec: RunSpec) -> None:
+    """Write run.json, atomically."""
+    data = {**to_plain(spec), "fingerprint": spec.fingerprint}
+    write_text(folder / RUN_FILE, json.dumps(data, indent=1, sort_keys=True) + "\n")
+
+
+def read_spec(folder: Path) -> RunSpec:
+    """Read run.json; keys of a newer minor version are ignored.
+
+    Raises:
+        PathNotFound: `folder` is no run.
+        Contradiction: The file is damaged or its schema is newer.
+    """
+    path = folder / RUN_FILE
+    if not path.is_file():
+        raise PathNotFound(path, "a run made by `bidexdata synth`")
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        version = str(data["schema_version"])
+        stated = data["fingerprint"]
+    except (ValueError, KeyError, TypeError) as err:
+        raise Contradiction(f"{path}: not a readable run header ({err})") from err
+    if version.split(".", maxsplit=1)[0] != SCHEMA_VERSION.split(".", maxsplit=1)[0]:
+        raise Contradiction(
+            f"{path}: made with schema {version}, and this version reads {SCHEMA_VERSION}; "
+            "upgrade bidexdata to read it"
+        )
+    known = {f.name for f in dataclasses.fields(RunSpec)}
+    try:
+        spec = from_plain(RunSpec, {k: v for k, v in data.items() if k in known}, str(path))
+    except BidexError as err:
+        raise Contradiction(f"{path}: damaged run header ({err})") from err
+    if spec.fingerprint != stated:
+        raise Contradiction(f"{path}: its content does not match its fingerprint; was it edited?")
+    return spec
+
+
+def relative_to_run(path: Path, folder: Path) -> str:
+    """Path as run.json stores it, so that library and run can move together."""
+    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+
+
+def package_versions() -> dict[str, str]:
+    """Versions of the packages that decide results."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    from bidexdata import __version__
+
+    found = {"bidexdata": __version__}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found

@@ -1,0 +1,111 @@
+"""What every stage of a run has in common: take the open tasks, work, count, report."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from bidexdata.runs.executors import TaskFailure, run_tasks
+from bidexdata.runs.logs import log_to
+from bidexdata.runs.plan import Task
+from bidexdata.runs.progress import Progress
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Execution:
+    """Where and how a command runs; nothing here changes a result."""
+
+    executor: str = "processes"
+    workers: int = 0
+    """0: one per core."""
+    shard: tuple[int, int] | None = None
+    """Part i of n of the plan, i from 0."""
+    quiet: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class TaskSummary:
+    """What a worker says of a finished task; the rows themselves are in its shard."""
+
+    rows: int
+    """Rows stored."""
+    good: int
+    """Rows that succeeded."""
+    by_status: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageReport:
+    """What one call of a stage did; figures of the whole run are `info`'s."""
+
+    tasks: int
+    """Tasks in this machine's part of the plan."""
+    before: int
+    """Of these, done before the call."""
+    failures: tuple[TaskFailure, ...] = ()
+    rows: int = 0
+    good: int = 0
+    by_status: dict[str, int] = field(default_factory=dict)
+    seconds: float = 0.0
+
+    @property
+    def finished(self) -> int:
+        """Tasks done by this call."""
+        return self.tasks - self.before - len(self.failures)
+
+
+def run_stage(
+    tasks: Sequence[Task],
+    done: set[str],
+    work: Callable[[Task], TaskSummary],
+    *,
+    unit: str,
+    logs: Path,
+    execution: Execution,
+) -> StageReport:
+    """Run the tasks that are not done yet.
+
+    A failed task leaves no shard: the next call tries it again.
+
+    Args:
+        tasks: This machine's part of the plan.
+        done: Ids of finished tasks.
+        work: Writes the shard of one task.
+        unit: What the progress counts.
+        logs: Folder of the log files.
+        execution: Where and how.
+    """
+    open_tasks = [t for t in tasks if t.task_id not in done]
+    start = time.monotonic()
+    failures: list[TaskFailure] = []
+    rows = good = 0
+    by_status: Counter[str] = Counter()
+    logger = log_to(logs)
+    before = len(tasks) - len(open_tasks)
+    with Progress(len(tasks), unit, execution.quiet, already=before) as progress:
+        results = run_tasks(
+            open_tasks, work, executor=execution.executor, workers=execution.workers
+        )
+        for task, result in results:
+            if isinstance(result, TaskFailure):
+                failures.append(result)
+                place = f"task {task.task_id} ({task.object_id})"
+                logger.error("%s: %s\n%s", place, result.reason, result.details)
+                progress.write(f"{place} failed: {result.reason}")
+            else:
+                rows += result.rows
+                good += result.good
+                by_status.update(result.by_status)
+            progress.advance()
+    return StageReport(
+        tasks=len(tasks),
+        before=before,
+        failures=tuple(failures),
+        rows=rows,
+        good=good,
+        by_status=dict(by_status),
+        seconds=time.monotonic() - start,
+    )

@@ -1,0 +1,231 @@
+"""The synth stage: a library and a configuration become a run with one shard per task."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import time
+from collections import Counter
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bidexdata.config import fingerprint, from_plain, to_plain
+from bidexdata.errors import BadConfig, NotUsable
+from bidexdata.record import GraspBatch, Status
+from bidexdata.record.scene import Setting
+from bidexdata.runs.logs import log_to
+from bidexdata.runs.plan import (
+    Round,
+    Task,
+    plan_tasks,
+    read_plan,
+    scene_ids_of,
+    scene_of,
+    take_shard,
+    write_plan,
+)
+from bidexdata.runs.run import PLAN_FILE, Run
+from bidexdata.runs.shards import done_tasks, shard_path, sweep, write_shard
+from bidexdata.runs.spec import (
+    RUN_FILE,
+    RunSpec,
+    grown,
+    package_versions,
+    read_spec,
+    relative_to_run,
+    write_spec,
+)
+from bidexdata.runs.stage import Execution, StageReport, TaskSummary, run_stage
+
+if TYPE_CHECKING:
+    from bidexdata.objects.library import Library
+    from bidexdata.synthesis.config import SynthConfig
+
+PAPER_SIZES_MM = tuple(range(300, 801, 50))
+"""The paper's eleven sizes, 0.30 to 0.80 m (section 6)."""
+DEFAULT_GRASPS = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SynthRequest:
+    """What `bidexdata synth` was asked for."""
+
+    config: SynthConfig
+    preset: str = "default"
+    hand: str = "shadow"
+    sizes_mm: tuple[int, ...] = PAPER_SIZES_MM
+    setting: Setting = "floating"
+    grasps: int | None = None
+    """Grasps kept per scene; None: what the run has, or 10."""
+    candidates: int | None = None
+    """Attempts per scene; None: the configuration's multiple of the grasps."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.sizes_mm or any(not 10 <= mm <= 5000 for mm in self.sizes_mm):
+            raise BadConfig("--sizes: give sizes in metres between 0.01 and 5, such as 0.3,0.5")
+        if self.grasps is not None and not 1 <= self.grasps <= 10_000:
+            raise BadConfig(f"--grasps {self.grasps}: give a number from 1 to 10000")
+        if self.candidates is not None and self.candidates < (self.grasps or 1):
+            raise BadConfig(f"--candidates {self.candidates}: give at least one per grasp kept")
+
+
+def synth_library(
+    library: str | Path,
+    out: str | Path,
+    request: SynthRequest,
+    *,
+    execution: Execution | None = None,
+    device: str = "cpu",
+) -> StageReport:
+    """Synthesise grasps for every object of a library, or go on where a run stopped.
+
+    Raises:
+        PathNotFound: There is no library.
+        UnknownName: There is no such hand.
+        ConfigConflict: `out` is a run of another configuration.
+    """
+    from bidexdata.objects.library import Library
+
+    execution = execution or Execution()
+    run = start_run(Library.open(library), Path(out), request)
+    tasks = take_shard(run.tasks, execution.shard)
+    sweep([run.stage_folder("rows")])
+    return run_stage(
+        tasks,
+        done_tasks(run.stage_folder("rows")),
+        partial(_synth_task, str(run.path), run.fingerprint, device),
+        unit="tasks",
+        logs=run.path / "logs",
+        execution=execution,
+    )
+
+
+def start_run(library: Library, out: Path, request: SynthRequest) -> Run:
+    """Create the run folder, or open it and let `--grasps` grow; write run.json and the plan."""
+    old = read_spec(out) if (out / RUN_FILE).exists() else None
+    if old is None and out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise NotUsable(f"{out} exists and is no run; choose another --out")
+    wanted = _wanted(library, out, request, old)
+    spec = wanted if old is None else grown(out, old, wanted)
+    out.mkdir(parents=True, exist_ok=True)
+    if spec != old:
+        write_spec(out, spec)
+    _write_missing_rounds(library, out, spec)
+    return Run(out, spec)
+
+
+def _wanted(library: Library, out: Path, request: SynthRequest, old: RunSpec | None) -> RunSpec:
+    from bidexdata.hands import load_hands
+
+    if not library.object_ids:
+        raise NotUsable(f"{library.path} holds no prepared object; `bidexdata info` says why")
+    hands = load_hands(request.hand)
+    had = old.grasps if old else None
+    grasps = request.grasps or had or DEFAULT_GRASPS
+    per_grasp = request.config.selection.candidates_per_grasp
+    if request.candidates is not None:
+        candidates = request.candidates
+    elif old is not None and had is not None and old.candidates is not None:
+        candidates = old.candidates + max(grasps - had, 0) * per_grasp
+    else:
+        candidates = grasps * per_grasp
+    return RunSpec(
+        preset=request.preset,
+        config=to_plain(request.config),
+        hand=_portable_hand(request.hand, out),
+        hands=tuple(h.header() for h in hands),
+        sizes_mm=tuple(sorted(set(request.sizes_mm))),
+        setting=request.setting,
+        source=relative_to_run(library.path, out),
+        source_fingerprint=library.fingerprint,
+        seed=request.seed,
+        rounds=(Round(grasps, candidates),),
+        versions=package_versions(),
+    )
+
+
+def _portable_hand(hand: str, out: Path) -> str:
+    names = [n.strip() for n in hand.split(",")]
+    is_file = [n.endswith((".yaml", ".yml")) for n in names]
+    return ",".join(
+        relative_to_run(Path(n), out) if file else n for n, file in zip(names, is_file, strict=True)
+    )
+
+
+def _write_missing_rounds(library: Library, out: Path, spec: RunSpec) -> None:
+    path = out / PLAN_FILE
+    planned = read_plan(path) if path.exists() else []
+    known = {t.round for t in planned}
+    if known == set(range(len(spec.rounds))):
+        return
+    poses = {r["object_id"]: r["rest_poses"] or 0 for r in library.index.to_pylist()}
+    scenes = {
+        i: scene_ids_of(i, spec.sizes_mm, spec.setting, poses.get(i, 0)) for i in library.object_ids
+    }
+    new = [t for t in plan_tasks(scenes, spec.rounds) if t.round not in known]
+    write_plan(path, [*planned, *new])
+
+
+def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) -> TaskSummary:
+    from bidexdata.synthesis.config import SynthConfig
+    from bidexdata.synthesis.pipeline import synthesize
+
+    run = _opened(run_path, run_fingerprint)
+    log_to(run.path / "logs")
+    start = time.monotonic()
+    obj = run.library.load(task.object_id)
+    left, right = run.hands()
+    one = run.spec.rounds[task.round]
+    batch = synthesize(
+        obj,
+        (left, right),
+        [scene_of(s, obj) for s in task.scene_ids],
+        from_plain(SynthConfig, run.spec.config),
+        round_seed(run.spec.seed, task.round),
+        run_fingerprint=run.fingerprint,
+        grasps=one.grasps,
+        candidates=one.candidates,
+        first_attempt=one.first_attempt,
+        device=device,
+    )
+    batch = with_run_header(batch, run)
+    path = shard_path(run.stage_folder("rows"), task.task_id)
+    write_shard(path, batch.to_arrow(), run.fingerprint)
+    counts: Counter[str] = Counter()
+    for found in batch.header.counts.values():
+        counts.update(found)
+    seconds = time.monotonic() - start
+    logging.getLogger(__name__).info(
+        "task %s: %d rows in %.1f s", task.task_id, len(batch), seconds
+    )
+    good = int((batch["selected"] & (batch["synth_status"] == Status.OK)).sum())
+    return TaskSummary(len(batch), good, dict(counts))
+
+
+def round_seed(seed: int, number: int) -> int:
+    """Seed of a run's round; the first round's is the run's own."""
+    return seed if number == 0 else int(fingerprint([seed, number], 12), 16)
+
+
+def with_run_header(batch: GraspBatch, run: Run) -> GraspBatch:
+    """Say in a batch's header which run its rows come from."""
+    prints = {
+        "run": run.fingerprint,
+        "library": run.spec.source_fingerprint,
+        "synth": fingerprint(run.spec.config),
+    }
+    version = package_versions()["bidexdata"]
+    header = dataclasses.replace(batch.header, fingerprints=prints, version=version)
+    return dataclasses.replace(batch, header=header)
+
+
+@lru_cache(maxsize=4)
+def _opened(path: str, run_fingerprint: str) -> Run:
+    # One per worker and run: the library's index is read once.
+    run = Run.open(path)
+    if run.fingerprint != run_fingerprint:
+        raise NotUsable(f"{path} changed while it was being worked on")
+    return run

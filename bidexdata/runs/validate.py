@@ -1,0 +1,136 @@
+"""The validate stage: rows of a run are tested, verdicts go to shards of their own."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import Counter
+from collections.abc import Sequence
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bidexdata.config import fingerprint, from_plain, to_plain
+from bidexdata.errors import ConfigConflict, NotUsable
+from bidexdata.record import Status
+from bidexdata.runs.logs import log_to
+from bidexdata.runs.plan import Task, take_shard
+from bidexdata.runs.run import Run, verdict_batch
+from bidexdata.runs.shards import done_tasks, read_shard, shard_path, sweep, write_shard
+from bidexdata.runs.stage import Execution, StageReport, TaskSummary, run_stage
+
+if TYPE_CHECKING:
+    from bidexdata.validation.protocols import Protocol
+
+
+def validate_run(
+    run: Run,
+    protocol: Protocol,
+    tests: Sequence[str] = (),
+    *,
+    execution: Execution | None = None,
+) -> dict[str, StageReport]:
+    """Test every finished task of a run that is not tested yet.
+
+    Args:
+        run: The run; its unfinished tasks are left out.
+        protocol: Settings of the tests.
+        tests: Names of tests; what the rows allow when empty.
+        execution: Where and how.
+
+    Returns:
+        A report per test.
+
+    Raises:
+        NotUsable: A test that the protocol or the setting does not allow, or nothing to test.
+        ConfigConflict: The run has verdicts of another protocol under this name.
+    """
+    execution = execution or Execution()
+    names = allowed_tests(run, protocol, tests)
+    have = run.done()
+    if not have:
+        raise NotUsable(f"{run.path} has no finished task yet; run `bidexdata synth` first")
+    tasks = [t for t in take_shard(run.tasks, execution.shard) if t.task_id in have]
+    return {test: _run_test(run, protocol, test, tasks, execution) for test in names}
+
+
+def allowed_tests(run: Run, protocol: Protocol, asked: Sequence[str]) -> tuple[str, ...]:
+    """Tests to run: those asked for, or all that the protocol defines and the rows allow."""
+    fits = {"f": True, "l": run.spec.setting == "tabletop", "a": False}
+    if not asked:
+        return tuple(t for t in protocol.tests if fits.get(t, False))
+    for test in asked:
+        if test not in protocol.tests:
+            known = ", ".join(protocol.tests)
+            raise NotUsable(f"protocol {protocol.name!r} has no test {test!r}; it has: {known}")
+        if not fits.get(test, False):
+            raise NotUsable(f"test {test!r} cannot be run on {run.spec.setting} rows of {run.path}")
+    return tuple(dict.fromkeys(asked))
+
+
+def _run_test(
+    run: Run, protocol: Protocol, test: str, tasks: Sequence[Task], execution: Execution
+) -> StageReport:
+    folder = run.stage_folder("validate", protocol.name, test)
+    mark = verdict_fingerprint(run, protocol, test)
+    sweep([folder])
+    done = done_tasks(folder)
+    for task in tasks:
+        if task.task_id in done:  # one look is enough: a stage has one configuration
+            _check_mark(folder, task, mark)
+            break
+    return run_stage(
+        tasks,
+        done,
+        partial(_validate_task, str(run.path), run.fingerprint, to_plain(protocol), test),
+        unit="tasks",
+        logs=run.path / "logs",
+        execution=execution,
+    )
+
+
+def verdict_fingerprint(run: Run, protocol: Protocol, test: str) -> str:
+    """What a validate shard carries: run, protocol settings and test."""
+    return fingerprint([run.fingerprint, to_plain(protocol), test])
+
+
+def _check_mark(folder: Path, task: Task, mark: str) -> None:
+    try:
+        read_shard(shard_path(folder, task.task_id), mark)
+    except ConfigConflict as err:
+        changed = f"settings of protocol {folder.parent.name!r}: those shards have other ones"
+        raise ConfigConflict(folder, [changed]) from err
+
+
+def _validate_task(
+    run_path: str, run_fingerprint: str, protocol_data: dict, test: str, task: Task
+) -> TaskSummary:
+    from bidexdata.validation.protocols import Protocol
+    from bidexdata.validation.validate import validate_grasps
+
+    run = _opened(run_path, run_fingerprint)
+    log_to(run.path / "logs")
+    start = time.monotonic()
+    protocol = from_plain(Protocol, protocol_data)
+    batch = run.task_batch(task)
+    columns = validate_grasps(batch, run.load_solid(task.object_id), run.hands(), protocol, test)
+    verdicts = verdict_batch(batch.header, batch["grasp_id"], columns)
+    path = shard_path(run.stage_folder("validate", protocol.name, test), task.task_id)
+    write_shard(path, verdicts.to_arrow(), verdict_fingerprint(run, protocol, test))
+    labels = [Status(int(s)).label for s in columns["verdict_status"]]
+    seconds = time.monotonic() - start
+    logging.getLogger(__name__).info(
+        "task %s test %s: %d rows in %.1f s", task.task_id, test, len(batch), seconds
+    )
+    return TaskSummary(len(batch), int(np.sum(columns["success"])), dict(Counter(labels)))
+
+
+@lru_cache(maxsize=4)
+def _opened(path: str, run_fingerprint: str) -> Run:
+    # One per worker and run: the library's index is read once.
+    run = Run.open(path)
+    if run.fingerprint != run_fingerprint:
+        raise NotUsable(f"{path} changed while it was being worked on")
+    return run
