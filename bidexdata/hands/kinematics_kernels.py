@@ -51,6 +51,7 @@ def hand_forward(
     normal_out: wp.array2d[wp.vec3],
     sphere_out: wp.array2d[wp.vec3],
 ):
+    """Base pose and free variables -> body poses, contact centres, pad normals, spheres."""
     grasp = wp.tid()
     body_position_out[grasp, 0] = position_in[grasp]
     body_rotation_out[grasp, 0] = rotation_in[grasp]
@@ -102,6 +103,7 @@ def hand_backward(
     # Gradient out:
     gradient_out: wp.array2d[float],
 ):
+    """Gradients at contacts, pads and spheres -> gradient of translation, rotation and u."""
     grasp = wp.tid()
     base = body_position_in[grasp, 0]
     for b in range(body_parent.shape[0]):
