@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from bidexdata.hands.kinematics import record_hand_backward, record_hand_forward
+from bidexdata.hands.device import record_hand_backward, record_hand_forward
 from bidexdata.wrench.qp import (
     ContactQP,
     QPConfig,
@@ -157,10 +157,8 @@ def backward(ws: Workspace) -> list[Call]:
     return [
         record_hand_backward(
             hand.model,
-            hand.position,
-            hand.joints,
-            hand.body_position,
-            hand.body_rotation,
+            body_position=hand.body_position,
+            body_rotation=hand.body_rotation,
             contact_gradient=centres,
             normal_gradient=pads,
             sphere_gradient=hand.sphere_gradient,
