@@ -183,6 +183,7 @@ def _apply_settings(scene: SimScene) -> None:
     model.geom_friction[:] = (s.friction_slide, s.friction_spin, s.friction_roll)
     model.geom_margin[:] = 0.0
     model.geom_gap[:] = 0.0
+    model.body_margin[:] = 0.0
     model.geom_priority[:] = 0
     model.geom_solmix[:] = 1.0
     of_hand = (scene.geom_owner >= 0) & (scene.geom_owner < len(scene.hands))

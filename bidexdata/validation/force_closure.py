@@ -50,7 +50,7 @@ def force_closure(
     at = (grasp.hand_pos[:, 0], grasp.hand_quat[:, 0], grasp.joints[:, 0])
     set_pose(scene, *start, *at)
     model.opt.gravity[:] = 0.0
-    follow(scene, closing_path(scene, protocol, grasp), protocol.segment_steps)
+    follow(scene, protocol, closing_path(scene, protocol, grasp))
     status, moved, turned = check(scene, protocol, start)
     if status is not Status.OK:
         status = Status.UNSTABLE if status is Status.UNSTABLE else Status.THROWN

@@ -95,8 +95,8 @@ def closing_path(scene: SimScene, protocol: Protocol, grasp: Grasp) -> ControlPa
     return ControlPath(np.concatenate(pos), np.concatenate(quat), np.concatenate(ctrl))
 
 
-def follow(scene: SimScene, path: ControlPath, steps: int) -> None:
-    """Give each target in turn and step after it."""
+def follow(scene: SimScene, protocol: Protocol, path: ControlPath) -> None:
+    """Give each target in turn and step after it; stop where the simulation is unstable."""
     import mujoco
 
     model, data = scene.model, scene.data
@@ -104,7 +104,9 @@ def follow(scene: SimScene, path: ControlPath, steps: int) -> None:
         data.mocap_pos[scene.mocap] = pos
         data.mocap_quat[scene.mocap] = quat
         data.ctrl[:] = ctrl
-        mujoco.mj_step(model, data, steps)
+        mujoco.mj_step(model, data, protocol.segment_steps)
+        if is_unstable(scene, protocol):
+            return
 
 
 def touches_object(scene: SimScene) -> bool:
@@ -123,7 +125,7 @@ def check(
         return Status.UNSTABLE, np.nan, np.nan
     pos, quat = object_pose(scene)
     moved = float(np.linalg.norm(pos - start[0]))
-    turned = float(quat_angle(start[1], quat))
+    turned = float(quat_angle(start[1], quat[None])[0])
     if not moved < protocol.limit_pos:
         return Status.SLIP, moved, turned
     if not turned < protocol.limit_rot:

@@ -147,7 +147,7 @@ def _is_rotation(quat: np.ndarray) -> NDArray[np.bool_]:
 
 
 def _require_same(batch: GraspBatch, solid: Solid, hands: Sequence[Hand]) -> None:
-    others = sorted(set(np.unique(batch.object_id)) - {solid.object_id})
+    others = sorted(set(batch.object_id.tolist()) - {solid.object_id})
     if others:
         raise NotUsable(f"the grasps are of object {others[0]!r}, not of {solid.object_id!r}")
     names = [h.joint_names for h in batch.header.hands]

@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from bidexdata.config import fingerprint, from_plain, to_plain
+from bidexdata.errors import BadConfig, UnknownName
+from bidexdata.validation import Protocol, load_protocol, protocol_names
+
+
+def test_paper_1_is_what_the_design_states():
+    p = load_protocol("paper-1")
+    assert p.closing_time == pytest.approx(0.8)
+    assert (p.segment_changes, p.segment_steps, p.scene.timestep) == (10, 10, 0.004)
+    assert (p.steps_per_check, p.checks) == (25, 30)
+    assert (p.gravity, p.hold, p.limit_pos) == (9.8, 3.0, 0.05)
+    assert math.degrees(p.limit_rot) == pytest.approx(15)
+    assert p.start_depth == 0.01
+    assert p.scene.density == 2.5
+    assert (p.scene.friction_slide, p.scene.friction_spin, p.scene.condim) == (0.6, 0.02, 4)
+
+
+def test_every_protocol_has_a_sentence_and_survives_plain_data():
+    for name in protocol_names():
+        protocol = load_protocol(name)
+        assert protocol.name == name
+        assert len(protocol.description) > 20
+        again = from_plain(Protocol, to_plain(protocol))
+        assert again == protocol
+        assert fingerprint(again) == fingerprint(protocol)
+
+
+def test_any_changed_setting_changes_the_fingerprint():
+    p = load_protocol("paper-1")
+    for other in (replace(p, hold=2.0), replace(p, scene=replace(p.scene, condim=3))):
+        assert fingerprint(other) != fingerprint(p)
+
+
+def test_an_unknown_protocol_names_the_known_ones():
+    with pytest.raises(UnknownName, match=r"no protocol is called 'paper1'.*paper-1"):
+        load_protocol("paper1")
+
+
+@pytest.mark.parametrize(
+    "change", [{"hold": 0.0}, {"limit_rot": 4.0}, {"check_every": 1e-4}, {"segment_steps": 0}]
+)
+def test_impossible_protocols_are_refused(change):
+    with pytest.raises(BadConfig, match=next(iter(change))):
+        replace(load_protocol("paper-1"), **change)
