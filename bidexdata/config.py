@@ -168,6 +168,10 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
         if len(kinds) != len(value):
             raise BadConfig(f"{where} needs {len(kinds)} values, got {len(value)}")
         return tuple(_convert(k, v, where) for k, v in zip(kinds, value, strict=True))
+    if origin in (dict, Mapping):
+        if not isinstance(value, Mapping):
+            raise BadConfig(f"{where} must be a mapping of keys to values, not {value!r}")
+        return {str(k): _convert(args[1], v, f"{where}.{k}") for k, v in value.items()}
     if origin is typing.Literal:
         if value not in args:
             raise BadConfig(f"{where} must be one of {', '.join(map(str, args))}, not {value!r}")

@@ -1,179 +1,196 @@
-"""A hand as Warp arrays, and its two kernels as recorded launches.
-
-A recorded launch is a callable that repeats itself on the arrays it was recorded with: it
-allocates nothing and does not wait for the device.
-"""
+"""A hand as flat Warp arrays on one device, and the argument lists of its kernels."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from bidexdata.errors import BadConfig
 from bidexdata.frames import matrix_from_quat
+from bidexdata.hands.kinematics_kernels import HandArrays, hand_backward, hand_forward
 from bidexdata.hands.model import Hand
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class DeviceHand:
-    """Arrays of one hand on one device, named and shaped as in `Hand`; float32."""
+    """One hand on one device. Letters as in `Hand`; all arrays float32 or int32."""
 
+    hand: Hand
     device: str
-    body_parent: Any
-    body_pos: Any
-    body_rot: Any
-    """Orientation in the parent's frame at zero joint angle, (B,) mat33."""
-    body_joint: Any
-    joint_axis: Any
-    joint_variable: Any
-    """The free variable that moves each joint, (J,)."""
-    joint_factor: Any
-    """joint = factor * variable, (J,)."""
-    contact_body: Any
-    contact_pos: Any
-    contact_normal: Any
-    contact_radius: Any
-    sphere_body: Any
-    sphere_pos: Any
-    sphere_radius: Any
-    self_pairs: Any
+    arrays: Any
+    """`HandArrays`, the first argument of the kernels."""
+    free_lower: wp.array
+    """Smallest value of each free variable that keeps all its joints in range [rad], (D,)."""
+    free_upper: wp.array
+    """[rad], (D,)."""
+    self_pairs: wp.array
     """(P, 2) int."""
 
     @property
-    def bodies(self) -> int:
-        """Number of bodies B."""
-        return self.body_parent.shape[0]
+    def sphere_radius(self) -> wp.array:
+        """[m], (K,)."""
+        return self.arrays.sphere_radius
+
+    @property
+    def contact_radius(self) -> wp.array:
+        """[m], (C,)."""
+        return self.arrays.contact_radius
+
+    @property
+    def free(self) -> int:
+        """Number of free variables D."""
+        return self.hand.coupling.shape[1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandState:
+    """Buffers of N grasps of one hand, allocated once and reused by every launch."""
+
+    body_pos: wp.array
+    """[m], (N, B) vec3."""
+    body_rot: wp.array
+    """(N, B) mat33."""
+    contact: wp.array
+    """Centres of the contact spheres [m], (N, C) vec3."""
+    normal: wp.array
+    """Outward pad normals, (N, C) vec3."""
+    sphere: wp.array
+    """Centres of the collision spheres [m], (N, K) vec3."""
+    contact_grad: wp.array
+    """(N, C) vec3."""
+    normal_grad: wp.array
+    """(N, C) vec3."""
+    sphere_grad: wp.array
+    """(N, K) vec3."""
+    gradient: wp.array
+    """Base translation, base rotation, free variables, (N, 6 + D) float."""
+    scratch: tuple[wp.array, wp.array]
+    """Sums per body, two of (N, B) vec3."""
 
 
 def device_hand(hand: Hand, device: str = "cpu") -> DeviceHand:
-    """Copy a hand's arrays to a device.
+    """Copy a hand to a device.
 
     Raises:
-        BadConfig: A joint depends on more or less than one free variable.
+        BadConfig: A joint follows more than one free variable.
     """
-    import warp as wp
-
     wp.init()
-    if np.any(np.count_nonzero(hand.coupling, axis=1) != 1):
-        raise BadConfig(f"hand {hand.name!r}: each joint must follow exactly one free variable")
-    variable = np.argmax(hand.coupling != 0, axis=1)
-    factor = hand.coupling[np.arange(len(variable)), variable]
-
-    def array(values: np.ndarray, dtype: Any) -> Any:
-        kind = np.int32 if dtype is int else np.float32
-        return wp.array(np.ascontiguousarray(values, dtype=kind), dtype=dtype, device=device)
-
+    if np.any((hand.coupling != 0).sum(axis=1) != 1):
+        raise BadConfig(f"hand {hand.name}: each joint must follow exactly one free variable")
+    driver = np.argmax(hand.coupling != 0, axis=1)
+    ratio = hand.coupling[np.arange(len(driver)), driver]
+    arrays = HandArrays()
+    fields = {
+        "body_parent": (hand.body_parent, int),
+        "body_pos": (hand.body_pos, wp.vec3),
+        "body_rot": (matrix_from_quat(hand.body_quat_wxyz), wp.mat33),
+        "body_joint": (hand.body_joint, int),
+        "joint_axis": (hand.joint_axis, wp.vec3),
+        "joint_free": (driver, int),
+        "joint_ratio": (ratio, float),
+        "contact_body": (hand.contact_body, int),
+        "contact_pos": (hand.contact_pos, wp.vec3),
+        "contact_radius": (hand.contact_radius, float),
+        "contact_normal": (hand.contact_normal, wp.vec3),
+        "sphere_body": (hand.sphere_body, int),
+        "sphere_pos": (hand.sphere_pos, wp.vec3),
+        "sphere_radius": (hand.sphere_radius, float),
+    }
+    for name, (values, dtype) in fields.items():
+        setattr(arrays, name, _array(values, dtype, device))
+    lower, upper = free_limits(hand)
     return DeviceHand(
+        hand=hand,
         device=device,
-        body_parent=array(hand.body_parent, int),
-        body_pos=array(hand.body_pos, wp.vec3),
-        body_rot=array(matrix_from_quat(hand.body_quat_wxyz), wp.mat33),
-        body_joint=array(hand.body_joint, int),
-        joint_axis=array(hand.joint_axis, wp.vec3),
-        joint_variable=array(variable, int),
-        joint_factor=array(factor, float),
-        contact_body=array(hand.contact_body, int),
-        contact_pos=array(hand.contact_pos, wp.vec3),
-        contact_normal=array(hand.contact_normal, wp.vec3),
-        contact_radius=array(hand.contact_radius, float),
-        sphere_body=array(hand.sphere_body, int),
-        sphere_pos=array(hand.sphere_pos, wp.vec3),
-        sphere_radius=array(hand.sphere_radius, float),
-        self_pairs=array(hand.self_pairs, int),
+        arrays=arrays,
+        free_lower=_array(lower, float, device),
+        free_upper=_array(upper, float, device),
+        self_pairs=_array(hand.self_pairs.reshape(-1, 2), int, device),
     )
 
 
-def record_hand_forward(
-    hand: DeviceHand,
-    position: Any,
-    rotation: Any,
-    variables: Any,
-    *,
-    body_position: Any,
-    body_rotation: Any,
-    contact: Any,
-    normal: Any,
-    sphere: Any,
-) -> Callable[[], Any]:
-    """Record forward kinematics of N grasps.
+def free_limits(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
+    """Range of each free variable that keeps all its joints within their limits [rad], (D,) each."""
+    lower = np.full(hand.coupling.shape[1], -np.inf)
+    upper = np.full(hand.coupling.shape[1], np.inf)
+    for joint, row in enumerate(hand.coupling):
+        for free in np.flatnonzero(row):
+            ends = np.array([hand.joint_lower[joint], hand.joint_upper[joint]]) / row[free]
+            lower[free] = max(lower[free], ends.min())
+            upper[free] = min(upper[free], ends.max())
+    return lower, upper
+
+
+def free_from_joints(hand: Hand, joints: np.ndarray) -> np.ndarray:
+    """Free variables whose joints are nearest to `joints` (*b, J) in least squares, (*b, D)."""
+    return np.asarray(joints, np.float64) @ np.linalg.pinv(hand.coupling).T
+
+
+def allocate(dev: DeviceHand, grasps: int) -> HandState:
+    """Make the buffers for `grasps` grasps."""
+    bodies, contacts = len(dev.hand.body_names), len(dev.hand.contact_names)
+    spheres = len(dev.hand.sphere_body)
+
+    def vec(count: int) -> wp.array:
+        return wp.zeros((grasps, count), dtype=wp.vec3, device=dev.device)
+
+    return HandState(
+        body_pos=vec(bodies),
+        body_rot=wp.zeros((grasps, bodies), dtype=wp.mat33, device=dev.device),
+        contact=vec(contacts),
+        normal=vec(contacts),
+        sphere=vec(spheres),
+        contact_grad=vec(contacts),
+        normal_grad=vec(contacts),
+        sphere_grad=vec(spheres),
+        gradient=wp.zeros((grasps, 6 + dev.free), dtype=float, device=dev.device),
+        scratch=(vec(bodies), vec(bodies)),
+    )
+
+
+def forward_arguments(
+    dev: DeviceHand, state: HandState, base_pos: wp.array, base_rot: wp.array, free: wp.array
+) -> list[Any]:
+    """All arguments of `hand_forward`, in order.
 
     Args:
-        hand: The hand.
-        position: Origins of the hand frame [m], (N,) vec3.
-        rotation: Its orientations, (N,) mat33.
-        variables: Free variables u [rad], (N, D).
-        body_position: Written: origins of the bodies [m], (N, B) vec3.
-        body_rotation: Written: orientations of the bodies, (N, B) mat33.
-        contact: Written: centres of the contact spheres [m], (N, C) vec3.
-        normal: Written: outward pad normals, (N, C) vec3.
-        sphere: Written: centres of the collision spheres [m], (N, K) vec3.
-
-    Returns:
-        The launch; all arrays are in the frame of the base pose.
+        dev: The hand.
+        state: Buffers; bodies, contacts, normals and spheres are written.
+        base_pos: [m], (N,) vec3.
+        base_rot: (N,) mat33.
+        free: Free variables [rad], (N, D) float.
     """
-    import warp as wp
-
-    from bidexdata.hands.kinematics_kernels import hand_forward
-
-    inputs = [
-        hand.body_parent, hand.body_pos, hand.body_rot, hand.body_joint,
-        hand.joint_axis, hand.joint_variable, hand.joint_factor,
-        hand.contact_body, hand.contact_pos, hand.contact_normal,
-        hand.sphere_body, hand.sphere_pos,
-        position, rotation, variables,
-    ]  # fmt: skip
-    outputs = [body_position, body_rotation, contact, normal, sphere]
-    command = wp.launch(
-        hand_forward, dim=len(position), inputs=inputs, outputs=outputs,
-        device=hand.device, record_cmd=True,
-    )  # fmt: skip
-    return command.launch
+    out = [state.body_pos, state.body_rot, state.contact, state.normal, state.sphere]
+    return [dev.arrays, base_pos, base_rot, free, *out]
 
 
-def record_hand_backward(
-    hand: DeviceHand,
-    *,
-    body_position: Any,
-    body_rotation: Any,
-    contact_gradient: Any,
-    normal_gradient: Any,
-    sphere_gradient: Any,
-    gradient: Any,
-) -> Callable[[], Any]:
-    """Record the transposed Jacobian: gradients at points become gradients of the variables.
+def backward_arguments(dev: DeviceHand, state: HandState) -> list[Any]:
+    """All arguments of `hand_backward`, in order; it reads the three gradients of `state`."""
+    points = [state.body_pos, state.body_rot, state.contact, state.normal, state.sphere]
+    gradients = [state.contact_grad, state.normal_grad, state.sphere_grad]
+    return [dev.arrays, *points, *gradients, *state.scratch, state.gradient]
 
-    Args:
-        hand: The hand.
-        body_position: As written by forward kinematics, (N, B) vec3.
-        body_rotation: As written by forward kinematics, (N, B) mat33.
-        contact_gradient: dE / d contact centre, (N, C) vec3.
-        normal_gradient: dE / d pad normal, (N, C) vec3.
-        sphere_gradient: dE / d sphere centre, (N, K) vec3.
-        gradient: Written: dE with respect to translation (3), infinitesimal rotation about the
-            base origin in the base pose's frame (3) and u (D), (N, 6 + D).
 
-    Returns:
-        The launch.
-    """
-    import warp as wp
+def forward(
+    dev: DeviceHand, state: HandState, base_pos: wp.array, base_rot: wp.array, free: wp.array
+) -> None:
+    """Launch `hand_forward`; arguments as in `forward_arguments`."""
+    arguments = forward_arguments(dev, state, base_pos, base_rot, free)
+    wp.launch(hand_forward, dim=base_pos.shape[0], inputs=arguments, device=dev.device)
 
-    from bidexdata.hands.kinematics_kernels import hand_backward
 
-    count = gradient.shape[0]
-    scratch = [wp.empty((count, hand.bodies), dtype=wp.vec3, device=hand.device) for _ in range(2)]
-    inputs = [
-        hand.body_parent, hand.body_joint,
-        hand.joint_axis, hand.joint_variable, hand.joint_factor,
-        hand.contact_body, hand.contact_pos, hand.contact_normal,
-        hand.sphere_body, hand.sphere_pos,
-        body_position, body_rotation,
-        contact_gradient, normal_gradient, sphere_gradient,
-    ]  # fmt: skip
-    command = wp.launch(
-        hand_backward, dim=count, inputs=inputs, outputs=[*scratch, gradient],
-        device=hand.device, record_cmd=True,
-    )  # fmt: skip
-    return command.launch
+def backward(dev: DeviceHand, state: HandState) -> None:
+    """Launch `hand_backward`: `state.gradient` from the three gradients at points."""
+    count = state.gradient.shape[0]
+    wp.launch(hand_backward, dim=count, inputs=backward_arguments(dev, state), device=dev.device)
+
+
+def _array(values: Any, dtype: Any, device: str) -> wp.array:
+    kind = np.int32 if dtype is int else np.float32
+    values = np.ascontiguousarray(values, kind)
+    if dtype in (wp.vec3, wp.mat33):
+        return wp.array(values, dtype=dtype, shape=(len(values),), device=device)
+    return wp.array(values, dtype=dtype, device=device)

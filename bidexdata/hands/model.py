@@ -81,7 +81,7 @@ class Hand:
 
     # collision model for the optimiser
     sphere_body: IntArray
-    """(K,)."""
+    """The first C spheres are the contact spheres, in their order, (K,)."""
     sphere_pos: FloatArray
     """In the body's frame [m], (K, 3)."""
     sphere_radius: FloatArray

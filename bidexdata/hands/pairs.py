@@ -1,0 +1,67 @@
+"""Sphere pairs of one hand that the optimiser must keep apart.
+
+A pair counts when its bodies may collide in the simulation (not parent and child, not excluded by
+the model), when the spheres do not overlap in the rest pose or the starting postures, and when some
+joint angles within the limits bring them together. Without the last condition most of the pairs
+would be work for nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bidexdata.hands.kinematics import hand_points
+from bidexdata.hands.model import FloatArray, Hand, IntArray
+
+if TYPE_CHECKING:
+    import mujoco
+
+_POSTURES = 2000
+"""Random postures within the limits that are tried."""
+_NEAR = 0.0
+"""Smallest gap over the postures below which a pair counts [m]."""
+
+
+def self_pairs(hand: Hand, model: mujoco.MjModel) -> IntArray:
+    """List the sphere pairs that must not overlap, (P, 2)."""
+    a, b = np.triu_indices(len(hand.sphere_body), k=1)
+    allowed = _may_collide(hand, model)[hand.sphere_body[a], hand.sphere_body[b]]
+    a, b = a[allowed], b[allowed]
+    standing = np.stack([0 * hand.posture_open, hand.posture_open, hand.posture_curved])
+    apart = _gap(hand, standing, a, b).min(axis=0) > 0
+    a, b = a[apart], b[apart]
+    near = np.full(len(a), np.inf)
+    for block in np.array_split(_random_postures(hand), 20):
+        near = np.minimum(near, _gap(hand, block, a, b).min(axis=0))
+    meets = near < _NEAR
+    return np.stack([a[meets], b[meets]], axis=1).astype(np.int32)
+
+
+def _may_collide(hand: Hand, model: mujoco.MjModel) -> np.ndarray:
+    """Pairs of bodies that the simulation lets collide, (B, B) bool."""
+    allowed = ~np.eye(len(hand.body_names), dtype=bool)
+    for child, parent in enumerate(hand.body_parent):
+        if parent >= 0:
+            allowed[child, parent] = allowed[parent, child] = False
+    # MuJoCo packs an excluded pair as (body1 << 16) + body2; body 0 is the world.
+    first, second = model.exclude_signature >> 16, model.exclude_signature & 0xFFFF
+    allowed[first - 1, second - 1] = allowed[second - 1, first - 1] = False
+    return allowed
+
+
+def _random_postures(hand: Hand) -> FloatArray:
+    """The same postures every time: coupled joints together, half of them at a limit."""
+    rng = np.random.default_rng(0)
+    share = rng.random((_POSTURES, hand.coupling.shape[1]))
+    share[::2] = np.clip(2 * share[::2] - 0.5, 0, 1)
+    share = share @ hand.coupling.T
+    return hand.joint_lower + share * (hand.joint_upper - hand.joint_lower)
+
+
+def _gap(hand: Hand, joints: FloatArray, a: IntArray, b: IntArray) -> FloatArray:
+    """Gaps between spheres a and b in each posture [m], (n, pairs)."""
+    centre = hand_points(hand, joints).sphere
+    apart = np.linalg.norm(centre[:, a] - centre[:, b], axis=-1)
+    return apart - hand.sphere_radius[a] - hand.sphere_radius[b]

@@ -1,0 +1,80 @@
+"""Names of hands, and how a name and a side become a `Hand`.
+
+A name is a spec in `hands/specs/`, or the path of a user's YAML spec. Loading is cached: the sphere
+fit takes about a second per hand.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+from bidexdata.errors import BadConfig, UnknownName
+from bidexdata.hands.assemble import mirrored_hand, written_hand
+from bidexdata.hands.model import Hand, Side
+from bidexdata.hands.spec import HandSpec, read_spec
+
+_SPECS = Path(__file__).parent / "specs"
+
+
+def hand_names() -> tuple[str, ...]:
+    """Names of the hands that come with the package, in alphabetical order."""
+    return tuple(sorted(p.stem for p in _SPECS.glob("*.yaml") if not p.stem.endswith("_links")))
+
+
+def hand_spec(name: str | Path) -> HandSpec:
+    """Read the spec of a named hand or of a YAML file.
+
+    Raises:
+        UnknownName: No hand has this name and no file this path.
+        BadConfig: The spec is not usable.
+    """
+    return read_spec(_spec_path(str(name)))
+
+
+def load_hands(name: str) -> tuple[Hand, Hand]:
+    """Load the left and the right hand.
+
+    Args:
+        name: One name or spec path for both sides, or `LEFT,RIGHT`.
+
+    Raises:
+        UnknownName: A name does not exist.
+        NotUsable: A model cannot be had or does not fit its spec.
+    """
+    names = [part.strip() for part in name.split(",")]
+    if len(names) > 2 or not all(names):
+        raise BadConfig(f"--hand {name!r}: give NAME or LEFT,RIGHT")
+    return load_hand(names[0], "left"), load_hand(names[-1], "right")
+
+
+def load_hand(name: str | Path, side: Side) -> Hand:
+    """Load one hand of one side, by name or by the path of a YAML spec.
+
+    Raises:
+        UnknownName: No hand has this name and no file this path.
+        NotUsable: The model cannot be had, or does not fit the spec.
+    """
+    if side not in ("left", "right"):
+        raise BadConfig(f"a hand's side is left or right, not {side!r}")
+    path = _spec_path(str(name))
+    return _load(path, side, path.stat().st_mtime_ns)
+
+
+def _spec_path(name: str) -> Path:
+    if name in hand_names():
+        return _SPECS / f"{name}.yaml"
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml"):
+        if path.is_file():
+            return path.resolve()
+        raise UnknownName("hand", name, hand_names(), hint="and there is no such file")
+    raise UnknownName("hand", name, hand_names(), hint="the path of a YAML spec works too")
+
+
+@lru_cache(maxsize=16)
+def _load(path: Path, side: Side, modified: int) -> Hand:
+    spec = read_spec(path)
+    if side == spec.written_for:
+        return written_hand(spec, path.parent)
+    return mirrored_hand(spec, _load(path, spec.written_for, modified), path.parent)

@@ -1,0 +1,180 @@
+"""HandSpec: what the YAML file of a hand says, checked.
+
+A spec names one model per side and adds what MJCF lacks: root body, contact points, palm frame,
+postures, coupling, fingers and the settings of the sphere fit. Body and joint names stand without
+the side's prefix. Geometry is written for the side `written_for`; the other side's is its mirror
+image (x -> -x of the hand frame).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from bidexdata.config import fingerprint, from_plain, load_yaml
+from bidexdata.errors import BadConfig
+from bidexdata.hands.model import Side
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SideSpec:
+    """Where the model of one side comes from."""
+
+    source: str
+    """`menagerie:ROBOT/ENTRY`, `builtin:FILE` (beside the spec) or the path of an MJCF file."""
+    prefix: str = ""
+    """What this side's names carry before the names of the spec."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContactSpec:
+    """One predefined contact point: a small sphere that models a finger pad."""
+
+    name: str
+    finger: str
+    body: str
+    pos: Vector
+    """Centre of the sphere in the body's frame [m]."""
+    radius: float
+    """[m]."""
+    normal: Vector
+    """Outward direction in which the pad should meet the object, body frame; any length."""
+
+    def __post_init__(self):
+        if not 0 < self.radius < 0.1:
+            raise BadConfig(f"contact {self.name}: radius must be in (0, 0.1) m, not {self.radius}")
+        if not np.linalg.norm(self.normal) > 1e-6:
+            raise BadConfig(f"contact {self.name}: the normal has no length")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PalmFrameSpec:
+    """The palm frame in the hand frame."""
+
+    pos: Vector
+    """A point on the palm's surface [m]."""
+    x: Vector
+    """Towards the fingertips."""
+    z: Vector
+    """Out of the palm, towards the object."""
+
+    def __post_init__(self):
+        if abs(np.linalg.norm(self.x) - 1) > 1e-6 or abs(np.linalg.norm(self.z) - 1) > 1e-6:
+            raise BadConfig("palm_frame: x and z must be unit vectors")
+        if abs(np.dot(self.x, self.z)) > 1e-6:
+            raise BadConfig("palm_frame: x and z must be perpendicular")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PostureSpec:
+    """Two starting postures as joint angles [rad]; joints that are not named stand at zero."""
+
+    open: Mapping[str, float]
+    """For flat regions."""
+    curved: Mapping[str, float]
+    """For curved regions."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SphereFitSpec:
+    """Settings of the greedy sphere cover (spheres.py); lengths in metres."""
+
+    min_radius: float = 0.006
+    max_radius: float = 0.0135
+    protrusion: float = 0.0015
+    """How far a sphere may stand out of the collision geometry."""
+    slack: float = 0.33
+    """A surface sample within this share of a sphere's radius outside it counts as covered [-]."""
+    worth: float = 3e-4
+    """Area that a further sphere must newly cover [m^2]: corners of boxes are not worth one."""
+    thin: float = 0.002
+    """Parts of less than twice this thickness get no sphere."""
+    spacing: float = 0.004
+    """Distance between candidate centres and between surface samples."""
+
+    def __post_init__(self):
+        if not 0 < self.min_radius <= self.max_radius:
+            raise BadConfig("spheres: 0 < min_radius <= max_radius is required")
+        if not self.worth > 0:
+            raise BadConfig(f"spheres: worth must be positive, not {self.worth}")
+        if not 0 < self.spacing <= 0.01:
+            raise BadConfig(f"spheres: spacing must be in (0, 0.01] m, not {self.spacing}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandSpec:
+    """One hand, both sides."""
+
+    name: str
+    description: str
+    licence: str
+    sides: Mapping[str, SideSpec]
+    """Keys `left`, `right`."""
+    written_for: Literal["left", "right"]
+    """The side whose geometry `contacts` and `palm_frame` give."""
+    root: str
+    """Body that becomes the root; what lies above it is removed."""
+    fingers: Mapping[str, tuple[str, ...]]
+    """Bodies of each finger, base to tip."""
+    contacts: tuple[ContactSpec, ...]
+    palm_frame: PalmFrameSpec
+    postures: PostureSpec
+    coupled: Mapping[str, str]
+    """Follower joint -> the joint whose angle it takes in the optimiser."""
+    exclude_contacts: tuple[tuple[str, str], ...] = ()
+    """Pairs of bodies that never collide, besides those of the source."""
+    spheres: SphereFitSpec = field(default_factory=SphereFitSpec)
+
+    def __post_init__(self):
+        if not self.sides or not set(self.sides) <= {"left", "right"}:
+            raise BadConfig(f"hand {self.name}: sides must be left, right or both")
+        if self.written_for not in self.sides:
+            raise BadConfig(f"hand {self.name}: written_for names a side that sides lacks")
+        for contact in self.contacts:
+            if contact.finger not in self.fingers:
+                raise BadConfig(
+                    f"hand {self.name}: contact {contact.name} names finger {contact.finger!r}; "
+                    f"fingers are {', '.join(self.fingers)}"
+                )
+        names = [contact.name for contact in self.contacts]
+        if len(set(names)) != len(names):
+            raise BadConfig(f"hand {self.name}: two contacts have the same name")
+
+    def side(self, side: Side) -> SideSpec:
+        """Give the source of one side.
+
+        Raises:
+            BadConfig: The spec has no such side.
+        """
+        if side not in self.sides:
+            raise BadConfig(
+                f"hand {self.name} has no {side} side; its spec gives {', '.join(self.sides)}"
+            )
+        return self.sides[side]
+
+    def content_hash(self) -> str:
+        """sha256 over what the spec says; comments and layout do not count."""
+        plain = {f.name: getattr(self, f.name) for f in fields(self)}
+        return fingerprint(plain, length=64)
+
+
+def read_spec(path: str | Path) -> HandSpec:
+    """Read and check a YAML spec.
+
+    Raises:
+        PathNotFound: The file does not exist.
+        BadConfig: It is no YAML mapping, or a value is impossible.
+        UnknownKey: A key does not exist.
+    """
+    data = load_yaml(path)
+    where = f"hand spec {Path(path).name}"
+    missing = {f.name for f in fields(HandSpec)} - set(data) - {"exclude_contacts", "spheres"}
+    if missing:
+        raise BadConfig(f"{where} lacks {', '.join(sorted(missing))}")
+    return from_plain(HandSpec, data, where)

@@ -1,0 +1,140 @@
+"""Collision spheres of a hand, fitted to its collision geometry.
+
+A greedy cover, body by body. Candidates are the points of a regular grid inside the body's convex
+shapes; a candidate's sphere is as large as its depth allows (plus `protrusion`), so it follows the
+medial axis. A surface sample is covered when it lies inside a sphere or outside it by at most
+`slack` of the radius. The candidate that newly covers the most area is taken until none is worth
+a sphere. Parts thinner than the smallest sphere get smallest spheres, which stand out on both
+sides, after everything else. The spheres of the contact points come first, in their order, so
+sphere k < C is contact point k; bodies with a contact point get no protrusion, so that the pad
+touches first. Nothing is random: the same model gives the same spheres.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from bidexdata.hands.geometry import Shape, body_shapes, depth, surface_samples
+from bidexdata.hands.model import FloatArray, Hand, IntArray
+from bidexdata.hands.spec import SphereFitSpec
+
+if TYPE_CHECKING:
+    import mujoco
+
+
+class Spheres(NamedTuple):
+    """Spheres in their bodies' frames."""
+
+    body: IntArray
+    """(K,)."""
+    pos: FloatArray
+    """[m], (K, 3)."""
+    radius: FloatArray
+    """[m], (K,)."""
+
+
+class SphereFit(NamedTuple):
+    """How well spheres stand for the collision geometry."""
+
+    protrusion: FloatArray
+    """How far each sphere stands out of its body's shapes at most [m], (K,)."""
+    gap: FloatArray
+    """Distance from surface samples to the nearest sphere of their body [m], 0 inside, (n,)."""
+    area: FloatArray
+    """Area of each sample [m^2], (n,)."""
+
+
+def fit_spheres(hand: Hand, model: mujoco.MjModel, settings: SphereFitSpec) -> Spheres:
+    """Cover the collision geometry of a hand with spheres.
+
+    Args:
+        hand: The hand with its contact points; spheres are ignored.
+        model: Its compiled model.
+        settings: Radii and tolerances.
+    """
+    found = [
+        Spheres(hand.contact_body, np.asarray(hand.contact_pos), np.asarray(hand.contact_radius))
+    ]
+    for body, shapes in enumerate(body_shapes(model)):
+        if not shapes:
+            continue
+        pads = np.flatnonzero(hand.contact_body == body)
+        pos, radius = _cover(shapes, hand.contact_pos[pads], hand.contact_radius[pads], settings)
+        found.append(Spheres(np.full(len(radius), body, np.int32), pos, radius))
+    return Spheres(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+def measure_fit(hand: Hand, model: mujoco.MjModel, spacing: float = 0.002) -> SphereFit:
+    """Measure how far spheres stand out of the geometry and how far the geometry stands out."""
+    protrusion = np.zeros(len(hand.sphere_body))
+    gaps, areas = [], []
+    for body, shapes in enumerate(body_shapes(model)):
+        mine = np.flatnonzero(hand.sphere_body == body)
+        samples, area = surface_samples(shapes, spacing)
+        deep = depth(shapes, hand.sphere_pos[mine])
+        if len(samples) and len(mine):
+            deep = np.maximum(deep, _gaps(samples, hand.sphere_pos[mine], 0.0).min(axis=1))
+        protrusion[mine] = hand.sphere_radius[mine] - deep
+        if len(samples):
+            gap = _gaps(samples, hand.sphere_pos[mine], hand.sphere_radius[mine])
+            gaps.append(gap.min(axis=0) if len(mine) else np.full(len(samples), np.inf))
+            areas.append(area)
+    return SphereFit(protrusion, np.maximum(np.concatenate(gaps), 0.0), np.concatenate(areas))
+
+
+def _cover(
+    shapes: list[Shape], pad_pos: FloatArray, pad_radius: FloatArray, settings: SphereFitSpec
+) -> tuple[FloatArray, FloatArray]:
+    samples, area = surface_samples(shapes, 1.5 * settings.spacing)
+    centres = _grid_inside(shapes, settings.spacing)
+    apart = _gaps(samples, centres, 0.0)
+    # To the surface of the union, which lies deeper than any one shape where shapes overlap.
+    deep = np.maximum(depth(shapes, centres), apart.min(axis=1))
+    protrusion = 0.0 if len(pad_pos) else settings.protrusion
+    regular = deep + protrusion >= settings.min_radius
+    radius = np.clip(deep + protrusion, settings.min_radius, settings.max_radius)
+    open_area = area.copy()
+    if len(pad_pos):
+        open_area[
+            (_gaps(samples, pad_pos, pad_radius) <= settings.slack * pad_radius[:, None]).any(
+                axis=0
+            )
+        ] = 0.0
+    covers = (apart <= (1 + settings.slack) * radius[:, None]).astype(np.float64)
+    thin = ~regular & (deep >= settings.thin)
+    chosen: list[int] = []
+    for candidates in (np.flatnonzero(regular), np.flatnonzero(thin)):
+        gain = covers[candidates] @ open_area
+        while len(candidates):
+            # Rounded, so that the first of equals wins whatever the order of summation.
+            best = int(np.argmax(np.round(gain, 10)))
+            if gain[best] < settings.worth:
+                break
+            newly = (covers[candidates[best]] > 0) & (open_area > 0)
+            gain = gain - covers[np.ix_(candidates, newly)] @ open_area[newly]
+            open_area[newly] = 0.0
+            chosen.append(int(candidates[best]))
+    return centres[chosen], radius[chosen]
+
+
+def _grid_inside(shapes: list[Shape], spacing: float) -> FloatArray:
+    """Grid points inside the union, symmetric about the middle of its bounding box."""
+    corners = np.concatenate([s.vertices @ s.R.T + s.pos for s in shapes])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    middle = 0.5 * (low + high)
+    steps = np.floor(0.5 * (high - low) / spacing).astype(int)
+    axes = [m + spacing * np.arange(-n, n + 1) for m, n in zip(middle, steps, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return points[depth(shapes, points) > 0]
+
+
+def _gaps(samples: FloatArray, centres: FloatArray, radius: FloatArray | float) -> FloatArray:
+    """Signed distance from each sphere to each sample [m], (spheres, samples)."""
+    squared = (
+        np.sum(centres**2, axis=1)[:, None]
+        - 2 * centres @ samples.T
+        + np.sum(samples**2, axis=1)[None]
+    )
+    return np.sqrt(np.maximum(squared, 0.0)) - np.reshape(radius, (-1, 1))
