@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bidexdata.objects.prepared import Solid
 from bidexdata.pictures.sheet import Caption
 from bidexdata.record import GraspBatch, Status
 
@@ -31,7 +32,7 @@ def verdict_words(batch: GraspBatch, row: int, *, test: str = "f") -> tuple[str,
     if "verdict_status" not in batch:
         return "not validated", None
     number = int(batch["verdict_status"][row])
-    if number < 0:
+    if number < 0 or number == Status.NOT_RUN:
         return "not validated", None
     verdict = Status(number)
     if bool(batch["success"][row]):
@@ -44,3 +45,13 @@ def _direction(batch: GraspBatch, row: int) -> str:
     number = int(batch["direction"][row]) if "direction" in batch else -1
     names = ("+x", "-x", "+y", "-y", "+z", "-z")
     return f" (load {names[number]})" if 0 <= number < len(names) else ""
+
+
+def object_caption(solid: Solid) -> Caption:
+    """Name, pieces and repair of one object."""
+    known = solid.provenance
+    pieces = f"{len(solid.pieces)} convex piece{'s' if len(solid.pieces) != 1 else ''}"
+    made = [pieces, *(str(known[k]) for k in ("piece_method", "licence") if known.get(k))]
+    warnings = known.get("warnings") or ()
+    lines = (" · ".join(made), str(warnings[0]) if warnings else "")
+    return Caption(solid.object_id, lines)

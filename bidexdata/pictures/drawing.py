@@ -104,7 +104,8 @@ def body_shapes(hand: Hand) -> tuple[tuple[int, Part], ...]:
 
     colour = HAND_COLOURS[hand.side]
     return tuple(
-        (m.body, mesh_part(m.vertices, m.faces, colour, hand.side)) for m in visual_meshes(hand)
+        (m.body, mesh_part(m.mesh.vertices, m.mesh.faces, colour, hand.side))
+        for m in visual_meshes(hand)
     )
 
 
@@ -130,6 +131,17 @@ def contacts_in_world(
     known = np.isfinite(point).all(axis=1) & np.isfinite(normal).all(axis=1)
     R = matrix_from_quat(batch["object_quat_wxyz"][row])
     return point[known] @ R.T + batch["object_pos"][row], normal[known] @ R.T
+
+
+def forces_in_world(batch: GraspBatch, row: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Contact points [m] and forces on the object [cap] of one grasp in the world, (n, 3) each."""
+    if "contact_point" not in batch or "contact_force" not in batch:
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    point = np.asarray(batch["contact_point"][row], np.float64).reshape(-1, 3)
+    force = np.asarray(batch["contact_force"][row], np.float64).reshape(-1, 3)
+    known = np.isfinite(point).all(axis=1) & np.isfinite(force).all(axis=1)
+    R = matrix_from_quat(batch["object_quat_wxyz"][row])
+    return point[known] @ R.T + batch["object_pos"][row], force[known] @ R.T
 
 
 def joined(parts: Sequence[Part], colour: Colour, label: str) -> Part:

@@ -13,7 +13,7 @@ from bidexdata.pictures.camera import framed
 from bidexdata.pictures.drawing import Surface, grasp_parts, solid_parts
 from bidexdata.pictures.raycast import raycast
 from bidexdata.pictures.scene import Part
-from bidexdata.pictures.views import choose_views, subject_points
+from bidexdata.pictures.views import DEFAULT_DIRECTION, choose_views, subject_points
 from bidexdata.record import GraspBatch
 
 Pixels = NDArray[np.uint8]
@@ -86,25 +86,35 @@ def draw_stages(
 def draw_object(
     solid: Solid,
     *,
-    size: float = 1.0,
     width: int = 360,
     height: int = 270,
-    surface: Surface = "pieces",
+    surfaces: Sequence[Surface] = ("mesh", "pieces"),
     device: str = "cpu",
 ) -> Pixels:
-    """Draw an object alone from the right front, above; its pieces each in their own colour."""
-    return _side_by_side(solid_parts(solid, size, surface=surface), 1, width, height, device)
+    """Draw an object from the right front, above: its repaired mesh beside its convex pieces.
+
+    Both pictures have the same camera, so that what the pieces cut off or fill shows.
+    """
+    shown = [solid_parts(solid, 1.0, surface=s) for s in surfaces]
+    points = np.concatenate([subject_points(parts) for parts in shown])
+    camera = framed(points, DEFAULT_DIRECTION, width / height)
+    return _row([raycast(parts, camera, width, height, device=device) for parts in shown])
 
 
 def _side_by_side(
     parts: Sequence[Part], views: int, width: int, height: int, device: str
 ) -> Pixels:
     points = subject_points(parts)
-    drawn = [
-        raycast(parts, framed(points, d, width / height), width, height, device=device)
-        for d in choose_views(parts, views, device=device)
-    ]
-    strip = np.full((height, _GAP, 3), 255, np.uint8)
+    return _row(
+        [
+            raycast(parts, framed(points, d, width / height), width, height, device=device)
+            for d in choose_views(parts, views, device=device)
+        ]
+    )
+
+
+def _row(drawn: Sequence[Pixels]) -> Pixels:
+    strip = np.full((drawn[0].shape[0], _GAP, 3), 255, np.uint8)
     joined = [drawn[0]]
     for pixels in drawn[1:]:
         joined += [strip, pixels]

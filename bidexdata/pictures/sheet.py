@@ -58,7 +58,9 @@ def contact_sheet(
     from PIL import Image, ImageDraw
 
     height, width = tiles[0].pixels.shape[:2] if tiles else (0, 320)
-    columns = max(1, min(columns or default_columns(len(tiles)), max(len(tiles), 1)))
+    columns = max(
+        1, min(columns or default_columns(len(tiles), width / max(height, 1)), max(len(tiles), 1))
+    )
     lines = max((1 + len(t.caption.lines) for t in tiles), default=0)
     step = TEXT + 4
     cell = height + lines * step + 2 * GAP
@@ -86,9 +88,14 @@ def contact_sheet(
     return sheet
 
 
-def default_columns(count: int) -> int:
-    """Pictures per row that make a sheet a little wider than high."""
-    return max(1, int(np.ceil(np.sqrt(1.2 * count))))
+def default_columns(count: int, aspect: float) -> int:
+    """Pictures per row that make a sheet a little wider than high.
+
+    Args:
+        count: Pictures.
+        aspect: Width over height of one.
+    """
+    return max(1, round(float(np.sqrt(1.8 * count / aspect))))
 
 
 def fitted(text: str, width: int, size: int) -> str:

@@ -53,6 +53,15 @@ def choose_views(parts: Sequence[Part], count: int = 1, *, device: str = "cpu") 
     return chosen
 
 
+def side_direction(hand_centres: Sequence[FloatArray]) -> FloatArray:
+    """Direction to a camera that has the hands on its two sides, nearest to the default, (3,).
+
+    Args:
+        hand_centres: Where the hands are, each (3,) [m]; any number.
+    """
+    return _candidates(hand_centres)[0]
+
+
 def subject_points(parts: Sequence[Part]) -> FloatArray:
     """Points that must be inside the picture: everything but the ground, (n, 3) [m]."""
     shown = [p.vertices for p in parts if p.label != "ground" and len(p.vertices)]
@@ -67,21 +76,20 @@ def _readable(height: FloatArray) -> FloatArray:
 def _candidates(centres: Sequence[FloatArray]) -> FloatArray:
     default = np.array(DEFAULT_DIRECTION) / np.linalg.norm(DEFAULT_DIRECTION)
     if not centres:
-        axis = np.array([0.0, 0.0, 1.0])
-    elif len(centres) == 1:
-        # One hand: all around, on three heights.
-        axis = np.array([0.0, 0.0, 1.0])
-    else:
-        axis = centres[1] - centres[0]
-        length = np.linalg.norm(axis)
-        axis = axis / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])
-    across = default - axis * (axis @ default)
+        return np.concatenate([default[None], _rings(np.array([0.0, 0.0, 1.0]), default)])
+    axis = centres[-1] - centres[0]
+    length = np.linalg.norm(axis)
+    # One hand, or two in one place: all around the vertical.
+    return _rings(axis / length if length > 1e-9 else np.array([0.0, 0.0, 1.0]), default)
+
+
+def _rings(axis: FloatArray, nearest: FloatArray) -> FloatArray:
+    # Directions across the axis and tilted to either end; the first is nearest to `nearest`.
+    across = nearest - axis * (axis @ nearest)
+    if np.linalg.norm(across) < 1e-6:
+        across = np.roll(axis, 1) - axis * (axis @ np.roll(axis, 1))
     across /= np.linalg.norm(across)
     other = np.cross(axis, across)
     angle = 2 * np.pi * np.arange(_CIRCLE) / _CIRCLE
     ring = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * other
-    tilts = (0.0, _TILT, -_TILT)
-    rings = [np.cos(t) * ring + np.sin(t) * axis for t in tilts]
-    if not centres:
-        return np.concatenate([default[None], rings[1]])
-    return np.concatenate(rings)
+    return np.concatenate([np.cos(t) * ring + np.sin(t) * axis for t in (0.0, _TILT, -_TILT)])

@@ -1,0 +1,231 @@
+"""One way to look into a library, a run or a release: objects, and the grasps of one object.
+
+Pictures and the viewer read through `Browsable` and do not know which of the three is behind it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, Protocol
+
+import numpy as np
+
+from bidexdata.errors import NotUsable, PathNotFound
+from bidexdata.record import GraspBatch, HandHeader
+from bidexdata.record.batch import empty_columns
+from bidexdata.record.fields import columns_written_by
+from bidexdata.record.status import Status
+
+if TYPE_CHECKING:
+    from bidexdata.formats.release import Release
+    from bidexdata.hands.model import Hand
+    from bidexdata.objects.library import Library
+    from bidexdata.objects.prepared import Solid
+    from bidexdata.runs.run import Run
+
+Kind = Literal["library", "run", "release"]
+
+
+class Browsable(Protocol):
+    """What can be looked into."""
+
+    kind: Kind
+    path: Path
+    test: str
+    """Name of the test whose verdicts `grasps` joins; empty when nothing is validated."""
+    protocol: str
+
+    @property
+    def object_ids(self) -> tuple[str, ...]:
+        """Objects, sorted."""
+        ...
+
+    def load_solid(self, object_id: str) -> Solid:
+        """Read one object."""
+        ...
+
+    def grasps(self, object_id: str) -> GraspBatch | None:
+        """All stored rows of one object, with verdict columns where there are verdicts."""
+        ...
+
+    def hands(self) -> tuple[Hand, ...]:
+        """Load the hands, in the order of the H axis; none for a library."""
+        ...
+
+
+def open_browsable(path: str | Path) -> Browsable:
+    """Open whatever is at `path`.
+
+    Raises:
+        PathNotFound: Nothing is there.
+        NotUsable: It is neither a library, a run nor a release.
+        Contradiction: It is damaged.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise PathNotFound(path, "a library, a run or a release")
+    if (path / "manifest.json").is_file():
+        return ReleaseSource(path)
+    if (path / "run.json").is_file():
+        return RunSource(path)
+    if (path / "index.parquet").is_file():
+        return LibrarySource(path)
+    raise NotUsable(
+        f"{path} is neither a library (index.parquet), a run (run.json) "
+        "nor a release (manifest.json)"
+    )
+
+
+class LibrarySource:
+    """Objects of a library; there are no grasps."""
+
+    kind: Kind = "library"
+    test = protocol = ""
+
+    def __init__(self, path: Path):
+        from bidexdata.objects.library import Library
+
+        self.path = path
+        self.library: Library = Library.open(path)
+
+    @property
+    def object_ids(self) -> tuple[str, ...]:
+        """Objects, sorted."""
+        return tuple(sorted(self.library.object_ids))
+
+    def load_solid(self, object_id: str) -> Solid:
+        """Read one object."""
+        return self.library.load_solid(object_id)
+
+    def grasps(self, object_id: str) -> GraspBatch | None:
+        """None: a library holds no grasps."""
+        return None
+
+    def hands(self) -> tuple[Hand, ...]:
+        """No hands."""
+        return ()
+
+
+class RunSource:
+    """Rows of a run, also of one that is still being made; verdicts where they are there."""
+
+    kind: Kind = "run"
+
+    def __init__(self, path: Path):
+        from bidexdata.runs.run import Run
+
+        self.path = path
+        self.run: Run = Run.open(path)
+        self.protocol, self.test = _preferred(self.run.verdict_tests())
+
+    @property
+    def object_ids(self) -> tuple[str, ...]:
+        """Objects of the plan, sorted."""
+        return self.run.object_ids
+
+    def load_solid(self, object_id: str) -> Solid:
+        """Read one object of the run's library."""
+        return self.run.load_solid(object_id)
+
+    def grasps(self, object_id: str) -> GraspBatch | None:
+        """Rows of the tasks that are done; those not yet validated say so in every row."""
+        from bidexdata.runs.run import join_tasks
+
+        made = self.run.done()
+        judged = self.run.done(self.protocol, self.test) if self.test else set()
+        found = []
+        for task in self.run.tasks_of(object_id):
+            if task.task_id not in made:
+                continue
+            batch = self.run.task_batch(task)
+            if task.task_id in judged:
+                verdicts = self.run.task_verdicts(task, batch, self.protocol, self.test)
+            elif self.test:
+                verdicts = _no_verdicts(batch)
+            else:
+                verdicts = {}
+            found.append(batch.with_columns(**verdicts))
+        return join_tasks(found) if found else None
+
+    def hands(self) -> tuple[Hand, ...]:
+        """Load the run's hands."""
+        return self.run.hands()
+
+
+class ReleaseSource:
+    """Rows of a release, selected and audit, with the verdicts of its default protocol."""
+
+    kind: Kind = "release"
+
+    def __init__(self, path: Path):
+        from bidexdata.formats.release import Release
+
+        self.path = path
+        self.release: Release = Release.open(path)
+        mine = [t for t in self.release.protocols if t[0] == self.release.default_protocol]
+        self.protocol, self.test = _preferred(mine)
+
+    @property
+    def object_ids(self) -> tuple[str, ...]:
+        """Objects, sorted."""
+        return self.release.object_ids
+
+    def load_solid(self, object_id: str) -> Solid:
+        """Read one object."""
+        return self.release.load_solid(object_id)
+
+    def grasps(self, object_id: str) -> GraspBatch | None:
+        """Selected rows, then audit rows that are not selected too."""
+        found = []
+        for configuration in self.release.configurations:
+            batch = self.release.grasps(
+                object_id, configuration=configuration, test=self.test or "f"
+            )
+            if configuration == "audit":
+                batch = batch.select(~batch["selected"])
+            if len(batch):
+                found.append(batch)
+        return GraspBatch.concat(found) if found else None
+
+    def hands(self) -> tuple[Hand, ...]:
+        """Load hands of the names, sides and joints that the release states.
+
+        Raises:
+            NotUsable: A hand is not known here, or its joints are others.
+        """
+        return tuple(_hand_of(header, self.path) for header in self.release.hands)
+
+
+def verdicts_of(batch: GraspBatch) -> np.ndarray:
+    """What became of each row: 1 passed, 0 failed (also before the test), -1 not tested, (N,)."""
+    outcome = np.full(len(batch), -1)
+    if "verdict_status" in batch:
+        status = batch["verdict_status"]
+        tested = (status >= 0) & (status != Status.NOT_RUN)
+        outcome[tested] = batch["success"][tested]
+    if "synth_status" in batch:
+        outcome[batch["synth_status"] != Status.OK] = 0
+    return outcome
+
+
+def _preferred(tests: list[tuple[str, str]]) -> tuple[str, str]:
+    # Force closure first: it is the one that every floating data set has.
+    return min(tests, key=lambda t: (t[0] != "paper-1", t[1] != "f", t), default=("", ""))
+
+
+def _no_verdicts(batch: GraspBatch) -> dict[str, np.ndarray]:
+    missing = [n for n in columns_written_by("validate") if n not in batch]
+    return empty_columns(batch.header, missing, len(batch))
+
+
+def _hand_of(header: HandHeader, path: Path) -> Hand:
+    from bidexdata.hands import load_hand
+
+    side = "left" if header.side == "left" else "right"
+    hand = load_hand(header.name, side)
+    if hand.joint_names != header.joint_names or hand.root_body != header.root_body:
+        raise NotUsable(
+            f"{path}: its {header.side} hand {header.name!r} has other joints or another root body "
+            "than the hand of that name here; use the version of bidexdata that made it"
+        )
+    return hand

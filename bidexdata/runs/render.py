@@ -1,0 +1,271 @@
+"""Contact sheets and animations of what a library, a run or a release holds.
+
+Which rows are shown follows from the seed, the ids and the filter alone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+
+from bidexdata.errors import BadConfig, NotUsable
+from bidexdata.record import GraspBatch
+from bidexdata.runs.browse import Browsable, open_browsable, verdicts_of
+from bidexdata.runs.progress import Progress
+
+if TYPE_CHECKING:
+    from bidexdata.objects.prepared import Solid
+    from bidexdata.pictures.sheet import Tile
+
+Only = Literal["success", "failure"]
+
+DEFAULT_COUNT = 12
+WIDTH, HEIGHT = 280, 240
+"""Pixels of one view."""
+VIDEO_MOMENTS = (
+    0.0,
+    0.0,
+    *np.linspace(0, 1, 8).tolist(),
+    *np.linspace(1, 2, 5)[1:].tolist(),
+    2.0,
+    2.0,
+)
+"""Stage numbers of an animation's pictures: it rests at the pre-grasp and at the squeeze."""
+
+
+class Shown(NamedTuple):
+    """One grasp chosen for a sheet."""
+
+    object_id: str
+    batch: GraspBatch
+    row: int
+
+
+@dataclass(frozen=True, slots=True)
+class RenderReport:
+    """What was drawn."""
+
+    out: Path
+    kind: str
+    shown: tuple[str, ...]
+    """Ids of the grasps or objects, in the order of the sheet."""
+    drawn_by: str
+    seconds: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data for `--json`."""
+        return {
+            "out": str(self.out),
+            "kind": self.kind,
+            "n": len(self.shown),
+            "shown": list(self.shown),
+            "drawn_by": self.drawn_by,
+            "seconds": round(self.seconds, 3),
+        }
+
+
+def render(
+    path: str | Path,
+    out: str | Path,
+    *,
+    only: Only | None = None,
+    count: int = DEFAULT_COUNT,
+    views: int = 2,
+    video: bool = False,
+    seed: int = 0,
+    device: str = "cpu",
+    quiet: bool = False,
+) -> RenderReport:
+    """Draw a contact sheet, or with `video` an animation pre-grasp -> grasp -> squeeze.
+
+    Grasps are spread over objects and sizes. Selected rows are shown; with `only="failure"` audit
+    rows too. A library shows its objects, repaired mesh beside convex pieces.
+
+    Args:
+        path: A library, a run or a release.
+        out: `.png`, `.jpg` or `.webp`; an animation is `.gif` or an animated `.png`.
+        only: Grasps that passed, or that failed.
+        count: Pictures at most.
+        views: Views of each grasp (an animation has one).
+        video: Make an animation.
+        seed: Chooses other grasps.
+        device: A Warp device, `cpu` or `cuda:0`.
+        quiet: No progress bar.
+
+    Raises:
+        NotUsable: Nothing matches, or the file's ending is none of these.
+        PathNotFound: `path` does not exist.
+    """
+    started = perf_counter()
+    source, out = open_browsable(path), Path(out)
+    _check(out, source, only=only, count=count, video=video)
+    title = _title(source, only)
+    from bidexdata.pictures.picture import drawn_by
+    from bidexdata.pictures.sheet import contact_sheet, save_animation, save_picture
+
+    footer = drawn_by(device)
+    if source.kind == "library":
+        ids = _shuffled(source.object_ids, seed)[:count]
+        frames = [_object_tiles(source, sorted(ids), device, quiet)]
+        shown = tuple(sorted(ids))
+    else:
+        chosen = choose_grasps(source, count, only=only, seed=seed)
+        shown = tuple(str(s.batch["grasp_id"][s.row]) for s in chosen)
+        frames = _grasp_frames(source, chosen, views, device, video=video, quiet=quiet)
+    if not shown:
+        raise NotUsable(f"{path}: nothing to draw{f' with --only {only}' if only else ''}")
+    sheets = [contact_sheet(tiles, title=title, footer=footer) for tiles in frames]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if video:
+        save_animation(sheets, out)
+    else:
+        save_picture(sheets[0], out)
+    return RenderReport(out, source.kind, shown, footer, perf_counter() - started)
+
+
+def choose_grasps(
+    source: Browsable, count: int, *, only: Only | None = None, seed: int = 0
+) -> list[Shown]:
+    """Choose grasps with poses, spread over objects, then over sizes.
+
+    Objects are taken in an order that the seed decides, until `count` of them have something to
+    show; then each gives one grasp in turn, its sizes alternating. The result is sorted by object,
+    size and grasp.
+    """
+    queues: list[Iterator[Shown]] = []
+    for object_id in _shuffled(source.object_ids, seed):
+        if len(queues) == count:
+            break
+        batch = source.grasps(object_id)
+        rows = _matching(batch, only) if batch is not None else []
+        if batch is not None and len(rows):
+            order = _alternating(batch, rows, seed, len(queues))
+            queues.append(Shown(object_id, batch, row) for row in order)
+    chosen: list[Shown] = []
+    while queues and len(chosen) < count:
+        for queue in list(queues):
+            shown = next(queue, None)
+            if shown is None:
+                queues.remove(queue)
+            elif len(chosen) < count:
+                chosen.append(shown)
+    return sorted(
+        chosen,
+        key=lambda s: (
+            s.object_id,
+            int(s.batch["size_mm"][s.row]),
+            str(s.batch["grasp_id"][s.row]),
+        ),
+    )
+
+
+def _matching(batch: GraspBatch, only: Only | None) -> list[int]:
+    from bidexdata.pictures.posing import has_pose
+
+    outcome = verdicts_of(batch)
+    keep = np.ones(len(batch), bool)
+    if only is not None:
+        keep = outcome == (1 if only == "success" else 0)
+    if only != "failure" and "selected" in batch:
+        keep &= batch["selected"]
+    return [int(r) for r in np.flatnonzero(keep) if has_pose(batch, int(r))]
+
+
+def _alternating(batch: GraspBatch, rows: Sequence[int], seed: int, turn: int) -> list[int]:
+    # Sizes alternate, and each object starts with another size.
+    by_size: dict[int, list[int]] = {}
+    names = {str(batch["grasp_id"][r]): r for r in rows}
+    for name in _shuffled(tuple(names), seed):
+        by_size.setdefault(int(batch["size_mm"][names[name]]), []).append(names[name])
+    sizes = sorted(by_size)
+    sizes = sizes[turn % len(sizes) :] + sizes[: turn % len(sizes)]
+    order: list[int] = []
+    while any(by_size.values()):
+        order += [by_size[s].pop(0) for s in sizes if by_size[s]]
+    return order
+
+
+def _shuffled(names: Sequence[str], seed: int) -> list[str]:
+    # By hash: adding an object does not change the order of the others.
+    return sorted(names, key=lambda n: (hashlib.sha256(f"{seed}/{n}".encode()).digest(), n))
+
+
+def _grasp_frames(
+    source: Browsable,
+    chosen: Sequence[Shown],
+    views: int,
+    device: str,
+    *,
+    video: bool,
+    quiet: bool,
+) -> list[list[Tile]]:
+    """Tiles of each picture of the animation; one picture when it is none."""
+    from bidexdata.pictures.captions import grasp_caption
+    from bidexdata.pictures.picture import draw_grasp, draw_stages
+    from bidexdata.pictures.sheet import Tile
+
+    hands = source.hands() if chosen else ()
+    frames: list[list[Tile]] = [[] for _ in (VIDEO_MOMENTS if video else (1,))]
+    solid: Solid | None = None
+    with Progress(len(chosen), "grasps drawn", quiet=quiet) as progress:
+        for shown in chosen:
+            if solid is None or solid.object_id != shown.object_id:
+                solid = source.load_solid(shown.object_id)
+            at = (shown.batch, shown.row, solid, hands)
+            size = {"width": WIDTH, "height": HEIGHT, "device": device}
+            if video:
+                drawn = draw_stages(*at, VIDEO_MOMENTS, **size)
+            else:
+                drawn = [draw_grasp(*at, views=views, **size)]
+            caption = grasp_caption(shown.batch, shown.row, test=source.test or "f")
+            for tiles, pixels in zip(frames, drawn, strict=True):
+                tiles.append(Tile(pixels, caption))
+            progress.advance()
+    return frames
+
+
+def _object_tiles(
+    source: Browsable, object_ids: Sequence[str], device: str, quiet: bool
+) -> list[Tile]:
+    from bidexdata.pictures.captions import object_caption
+    from bidexdata.pictures.picture import draw_object
+    from bidexdata.pictures.sheet import Tile
+
+    tiles = []
+    with Progress(len(object_ids), "objects drawn", quiet=quiet) as progress:
+        for object_id in object_ids:
+            solid = source.load_solid(object_id)
+            pixels = draw_object(solid, width=WIDTH, height=HEIGHT, device=device)
+            tiles.append(Tile(pixels, object_caption(solid)))
+            progress.advance()
+    return tiles
+
+
+def _check(out: Path, source: Browsable, *, only: Only | None, count: int, video: bool) -> None:
+    endings = (".gif", ".png") if video else (".png", ".jpg", ".jpeg", ".webp")
+    if out.suffix.lower() not in endings:
+        what = "an animation" if video else "a contact sheet"
+        raise BadConfig(f"--out {out}: {what} is written as one of {', '.join(endings)}")
+    if count < 1:
+        raise BadConfig(f"--count must be at least 1, not {count}")
+    if source.kind == "library" and (only or video):
+        raise BadConfig(f"{source.path} is a library: it has objects but no grasps to choose from")
+    if only and not source.test:
+        raise NotUsable(
+            f"{source.path} has no verdicts, so --only {only} chooses nothing; "
+            f"run: bidexdata validate {source.path}"
+        )
+
+
+def _title(source: Browsable, only: Only | None) -> str:
+    what = {"success": "grasps that passed", "failure": "grasps that failed", None: "grasps"}[only]
+    if source.kind == "library":
+        return f"{source.path.name}: objects, repaired mesh beside convex pieces"
+    test = f" (test {source.test} of {source.protocol})" if source.test else " (not validated)"
+    return f"{source.path.name}: {what}{test}; left hand blue, right hand green"

@@ -1,0 +1,102 @@
+"""Serve the viewer: one process, any number of browsers, one page each.
+
+The server listens on this machine only unless told otherwise. From elsewhere, use an SSH tunnel:
+`ssh -L 8080:localhost:8080 MACHINE`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bidexdata.errors import MissingExtra, NotUsable
+from bidexdata.runs.browse import Browsable, open_browsable
+from bidexdata.viewer.catalog import Catalog
+from bidexdata.viewer.page import Page
+
+if TYPE_CHECKING:
+    import viser
+
+DEFAULT_PORT = 8080
+DEFAULT_HOST = "127.0.0.1"
+
+
+def serve(
+    path: str | Path, host: str = DEFAULT_HOST, port: int = DEFAULT_PORT, block: bool = True
+) -> viser.ViserServer:
+    """Serve a page that shows a library, a run or a release.
+
+    Args:
+        path: What to show.
+        host: Address to listen on; `0.0.0.0` shows it to everyone who reaches this machine.
+        port: Where to listen; the next free port when it is taken (`server.get_port()`).
+        block: Serve until interrupted, then stop. Otherwise return at once; call `server.stop()`.
+
+    Raises:
+        PathNotFound: `path` does not exist.
+        NotUsable: There is nothing to show.
+        MissingExtra: viser is not installed.
+    """
+    server = serve_source(open_browsable(path), host=host, port=port)
+    if block:
+        wait_until_interrupted(server)
+    return server
+
+
+def serve_source(
+    source: Browsable, *, host: str = DEFAULT_HOST, port: int = DEFAULT_PORT
+) -> viser.ViserServer:
+    """Serve what is open already, and return at once; see `serve`."""
+    try:
+        import viser
+    except ImportError as err:
+        raise MissingExtra("viser", "view") from err
+
+    catalog = Catalog(source)
+    if not catalog.object_ids:
+        raise NotUsable(f"{source.path} holds no objects, so there is nothing to show")
+    catalog.preload()
+    with _silent():
+        server = viser.ViserServer(host=host, port=port, label="bidexdata", verbose=False)
+    server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+
+    def connected(client: viser.ClientHandle) -> None:
+        def aim(position: NDArray[np.float64], target: NDArray[np.float64]) -> None:
+            with client.atomic():
+                client.camera.position, client.camera.look_at = position, target
+
+        pages[client.client_id] = Page(client.gui, client.scene, catalog, aim)
+
+    def gone(client: viser.ClientHandle) -> None:
+        page = pages.pop(client.client_id, None)
+        if page is not None:
+            page.close()
+
+    pages: dict[int, Page] = {}
+    server.on_client_connect(connected)
+    server.on_client_disconnect(gone)
+    return server
+
+
+def wait_until_interrupted(server: viser.ViserServer) -> None:
+    """Sleep until Ctrl-C, then stop the server."""
+    import time
+
+    try:
+        while True:
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        with _silent():
+            server.stop()
+
+
+def _silent() -> contextlib.AbstractContextManager[object]:
+    # viser prints banners; standard output belongs to the command that called.
+    return contextlib.redirect_stdout(io.StringIO())

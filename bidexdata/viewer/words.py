@@ -1,0 +1,79 @@
+"""Markdown for the page: what a grasp is, its scores and its verdict; what an object is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bidexdata.objects.prepared import Solid
+from bidexdata.pictures.captions import verdict_words
+from bidexdata.record import GraspBatch
+
+# column, words, factor, unit
+_SCORES = (
+    ("qp_residual", "QP residual, both hands", 1.0, ""),
+    ("energy_qp", "closure energy Q", 1.0, ""),
+    ("energy_distance", "E_dis", 1e6, "mm²"),
+    ("energy_penetration", "E_pen", 1e6, "mm²"),
+    ("energy_self", "E_self", 1e6, "mm²"),
+    ("energy_pad", "E_pad", 1.0, ""),
+    ("region_score", "region score", 1.0, ""),
+    ("pd", "penetration PD", 1e3, "mm"),
+    ("spd", "self-penetration SPD", 1e3, "mm"),
+    ("cdc", "contact distance consistency CDC", 1e3, "mm"),
+    ("drift_pos", "drift under load", 1e3, "mm"),
+    ("drift_rot", "turn under load", 180 / np.pi, "°"),
+    ("load_margin", "load margin", 1.0, ""),
+)
+
+
+def verdict_markdown(batch: GraspBatch, row: int, *, test: str) -> str:
+    """One line with a mark: passed, failed and why, or not tested."""
+    words, good = verdict_words(batch, row, test=test or "f")
+    mark = {True: "✅", False: "❌", None: "➖"}[good]
+    return f"{mark} **{words}**"
+
+
+def scores_markdown(batch: GraspBatch, row: int) -> str:
+    """A table of the numbers that the row has; those without a value are left out."""
+    lines = []
+    for name, words, factor, unit in _SCORES:
+        if name in batch and np.isfinite(batch[name][row]):
+            lines.append(f"| {words} | {factor * float(batch[name][row]):.3g} {unit} |")
+    for side, value in zip(("left", "right"), _residuals(batch, row), strict=False):
+        lines.append(f"| QP residual, {side} hand | {value:.3g} |")
+    if not lines:
+        return "No scores are stored."
+    return "\n".join(["| score | value |", "|---|---|", *lines])
+
+
+def identity_markdown(batch: GraspBatch, row: int) -> str:
+    """Ids of a grasp and the set it belongs to."""
+    sets = [name for name in ("selected", "audit") if name in batch and batch[name][row]]
+    lines = [
+        f"grasp `{batch['grasp_id'][row]}`",
+        f"{batch['size_mm'][row]} mm, {batch['setting'][row]}, attempt {batch['attempt'][row]}",
+    ]
+    if sets:
+        lines.append(", ".join(sets))
+    if "source_ref" in batch and str(batch["source_ref"][row]):
+        lines.append(f"from `{batch['source_ref'][row]}`")
+    return "  \n".join(lines)
+
+
+def object_markdown(solid: Solid) -> str:
+    """Origin and shape of an object."""
+    known = solid.provenance
+    lines = [f"**{solid.object_id}**"]
+    for key in ("source", "licence", "author", "category"):
+        if known.get(key):
+            lines.append(f"{key}: {known[key]}")
+    pieces = f"{len(solid.pieces)} convex pieces, {len(solid.mesh.faces)} faces"
+    lines.append(pieces if len(solid.pieces) != 1 else pieces.replace("pieces", "piece", 1))
+    lines += [f"⚠ {text}" for text in known.get("warnings") or ()]
+    return "  \n".join(lines)
+
+
+def _residuals(batch: GraspBatch, row: int) -> list[float]:
+    if "qp_residual_hand" not in batch:
+        return []
+    return [float(v) for v in batch["qp_residual_hand"][row] if np.isfinite(v)]
