@@ -1,0 +1,5 @@
+"""`python -m bidexdata.cli`."""
+
+from bidexdata.cli.main import main
+
+main()

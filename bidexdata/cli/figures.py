@@ -1,0 +1,50 @@
+"""The figures of a run or release as lines for a person."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from bidexdata.cli.report import counts_text, millimetres, percent, share, table
+
+
+def figure_lines(figures: Mapping[str, Any], protocol: str = "") -> list[str]:
+    """Counts, rates over everything, then one line per size.
+
+    Args:
+        figures: From `formats.figures`.
+        protocol: Whose verdicts they count; empty when nothing is validated.
+    """
+    lines = [
+        f"{figures['n']} grasps of {figures['objects']} objects in {figures['scenes']} scenes "
+        f"({figures['selected_rows']} selected, {figures['audit_rows']} audit)",
+        f"attempts: {counts_text(figures['by_status'])}",
+    ]
+    tested = {t: v for t, v in figures["tests"].items() if v["selected"]["n"] or v["by_verdict"]}
+    for test, found in tested.items():
+        lines += [
+            f"test {test} of {protocol}: selected {percent(found['selected'])} with "
+            f"{share(figures['kept'])} kept; unselected {percent(found['unselected'])}",
+            f"verdicts: {counts_text(found['by_verdict'])}",
+        ]
+    if tested:
+        lines.append(
+            f"means over selected: PD {millimetres(figures['pd'])}, "
+            f"SPD {millimetres(figures['spd'])}, CDC {millimetres(figures['cdc'])}"
+        )
+    else:
+        lines.append(f"kept {share(figures['kept'])} of the wanted grasps; not validated yet")
+    return lines + _by_size(figures, list(tested))
+
+
+def _by_size(figures: Mapping[str, Any], tests: list[str]) -> list[str]:
+    head = ["size", "kept"]
+    for test in tests:
+        head += [f"selected {test}", f"unselected {test}"]
+    rows = [head]
+    for size, found in figures["by_size"].items():
+        row = [f"{int(size) / 1000:.2f} m", share(found["kept"])]
+        for test in tests:
+            row += [percent(found[f"selected_{test}"]), percent(found[f"unselected_{test}"])]
+        rows.append(row)
+    return table(rows)

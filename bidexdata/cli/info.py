@@ -1,0 +1,80 @@
+"""`bidexdata info`: what a folder is, how far it is, and its figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from bidexdata.cli import options
+from bidexdata.cli.figures import figure_lines
+from bidexdata.cli.report import counts_text, finish
+
+
+def info(
+    path: Annotated[Path, typer.Argument(metavar="PATH", help="A library, a run or a release.")],
+    as_json: options.Json = False,
+    quiet: options.Quiet = False,
+    debug: options.Debug = False,
+) -> None:
+    """Say what a folder is and what its figures are.
+
+    Unselected rate = successes / N over the audit rows of each scene (N grasps asked for), every
+    other status a failure. Selected rate = successes / selected rows, printed with the kept share
+    = selected / (N x scenes). Intervals are 95 %.
+
+    --json keys: kind, path and, for a library: fingerprint, inputs, objects, hulls, by_status,
+    failures; a run: fingerprint, hand, preset, setting, sizes_mm, grasps, candidates, seed,
+    objects, tasks, done (per stage), figures, protocols; a release: name, version,
+    schema_version, default_protocol, tests, splits, hands, figures.
+    """
+    from bidexdata.runs.info import describe
+
+    data = describe(path)
+    finish(data, _LINES[data["kind"]](data), as_json=as_json, quiet=quiet)
+
+
+def _library_lines(data: dict[str, Any]) -> list[str]:
+    lines = [
+        f"{data['path']}: library of {data['objects']} objects from {data['inputs']} inputs "
+        f"({counts_text(data['by_status'])}; {data['hulls']} replaced by the hull)",
+        f"fingerprint {data['fingerprint']}",
+    ]
+    return lines + [f"{f['source_name']}: {f['reason']}" for f in data["failures"]]
+
+
+def _run_lines(data: dict[str, Any]) -> list[str]:
+    asked = f"{data['grasps']} grasps of {data['candidates']} attempts per scene"
+    if data["grasps"] is None:
+        asked = "grasps as they came"
+    sizes = ", ".join(f"{mm / 1000:g}" for mm in data["sizes_mm"])
+    lines = [
+        f"{data['path']}: run of hand {data['hand']}, preset {data['preset'] or '-'}, "
+        f"{data['setting']}, sizes {sizes or '-'} m, {asked}, seed {data['seed']}",
+        f"fingerprint {data['fingerprint']}",
+    ]
+    for stage, done in data["done"].items():
+        lines.append(f"{stage}: {done} of {data['tasks']} tasks done")
+    if not data["protocols"]:
+        return lines + figure_lines(data["figures"])
+    for protocol, figures in data["protocols"].items():
+        lines += figure_lines(figures, protocol)
+        if figures["untested_objects"]:
+            lines.append(
+                f"{figures['untested_objects']} objects are not tested completely by {protocol}; "
+                "the rates leave them out"
+            )
+    return lines
+
+
+def _release_lines(data: dict[str, Any]) -> list[str]:
+    splits = ", ".join(f"{n} in {name}" for name, n in data["splits"].items())
+    lines = [
+        f"{data['path']}: release {data['name']} {data['version']} "
+        f"(schema {data['schema_version']}), objects: {splits}; hands {', '.join(data['hands'])}"
+    ]
+    return lines + figure_lines(data["figures"], data["default_protocol"])
+
+
+_LINES = {"library": _library_lines, "run": _run_lines, "release": _release_lines}

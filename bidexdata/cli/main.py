@@ -1,0 +1,127 @@
+"""The command `bidexdata`: its commands, and what becomes of errors.
+
+Only light modules are imported here; a command imports what it needs when it runs, so that
+`--help` stays under half a second.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import cast
+
+# Plain help: rich would add a third of a second, and its boxes do not survive a pipe.
+os.environ.setdefault("TYPER_USE_RICH", "0")
+
+import typer
+
+from bidexdata.cli.demo import demo
+from bidexdata.cli.info import info
+from bidexdata.cli.names import hands, presets, protocols
+from bidexdata.cli.pack import pack
+from bidexdata.cli.prepare import prepare
+from bidexdata.cli.synth import synth
+from bidexdata.cli.validate import validate
+from bidexdata.cli.verify import verify
+from bidexdata.errors import BidexError
+
+INTERRUPTED = 130
+# click's class, or that of the copy which newer typer carries.
+_UsageError = cast("type[Exception]", typer.BadParameter.__bases__[0])
+
+COMMANDS = {
+    "prepare": prepare,
+    "synth": synth,
+    "validate": validate,
+    "pack": pack,
+    "info": info,
+    "verify": verify,
+    "hands": hands,
+    "protocols": protocols,
+    "presets": presets,
+    "demo": demo,
+}
+
+app = typer.Typer(
+    name="bidexdata",
+    help="Turn mesh files into published, verified, trainable datasets of two-handed grasps.",
+    epilog=(
+        "Exit codes: 0 done; 1 a bug; 2 bad command line; 3 something named does not exist or "
+        "cannot be used; 4 a release or library contradicts its manifest; 5 another configuration; "
+        "6 nothing succeeded; 130 interrupted."
+    ),
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+for _name, _function in COMMANDS.items():
+    app.command(_name)(_function)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from bidexdata import __version__
+
+        print(f"bidexdata {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: bool = typer.Option(
+        False, "--version", callback=_show_version, is_eager=True, help="Print the version."
+    ),
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Entry point of the command line."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command and give its exit code; errors are one sentence on standard error."""
+    try:
+        code = app(args=list(arguments), prog_name="bidexdata", standalone_mode=False)
+        sys.stdout.flush()
+        return int(code or 0)
+    except _UsageError as err:
+        return _usage(err)
+    except BidexError as err:
+        return _complain(str(err), err.exit_code, arguments)
+    except (KeyboardInterrupt, typer.Abort):
+        return _complain("interrupted; the same command goes on from here", INTERRUPTED, ())
+    except BrokenPipeError:
+        # The reader of our output went away (`| head`); nothing more can be said to it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as err:
+        text = str(err).strip().splitlines()
+        what = f"{type(err).__name__}: {text[0]}" if text else type(err).__name__
+        hint = "run it again with --debug and report the traceback with the command line"
+        return _complain(f"this is a bug in bidexdata ({what}); {hint}", 1, arguments)
+
+
+def _usage(err: Exception) -> int:
+    context = getattr(err, "ctx", None)
+    where = context.command_path if context is not None else "bidexdata"
+    message = getattr(err, "format_message", lambda: str(err))()
+    if message:
+        print(f"error: {message.rstrip('.')}; see {where} --help", file=sys.stderr)
+    elif context is not None:  # no arguments at all: the error is the help text
+        print(context.get_help(), file=sys.stderr)
+    return 2
+
+
+def _complain(sentence: str, code: int, arguments: Sequence[str]) -> int:
+    if "--debug" in arguments:
+        traceback.print_exc()
+    print(f"error: {sentence}" if code != INTERRUPTED else sentence, file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    main()

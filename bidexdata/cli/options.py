@@ -1,0 +1,87 @@
+"""Options that several commands share, and how their texts become values."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+if TYPE_CHECKING:
+    from bidexdata.runs.stage import Execution
+
+T = TypeVar("T")
+
+Workers = Annotated[int, typer.Option(min=0, help="Worker processes; 0 means one per core.")]
+ExecutorName = Annotated[
+    str, typer.Option("--executor", help="processes, inline (no worker process) or ray.")
+]
+Shard = Annotated[
+    str | None,
+    typer.Option(
+        metavar="I/N",
+        help="Do only part I of N of the plan, I from 0 to N-1: one part per machine.",
+    ),
+]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of every random draw.")]
+ConfigFile = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="FILE", help="YAML file with changes to the configuration."),
+]
+Assignments = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one key of it; may be repeated."),
+]
+Json = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object on standard output, nothing else.")
+]
+Quiet = Annotated[bool, typer.Option("--quiet", help="No progress and no report, only errors.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+
+
+def execution_of(executor: str, workers: int, shard: str | None, quiet: bool) -> Execution:
+    """Collect where and how a command runs."""
+    from bidexdata.runs.stage import Execution
+
+    return Execution(executor=executor, workers=workers, shard=parse_shard(shard), quiet=quiet)
+
+
+def parse_shard(text: str | None) -> tuple[int, int] | None:
+    """Read `I/N` with 0 <= I < N."""
+    if text is None:
+        return None
+    first, slash, second = text.partition("/")
+    if not (slash and first.isdecimal() and second.isdecimal() and int(first) < int(second)):
+        raise typer.BadParameter(f"--shard {text!r}: write I/N with I from 0 to N-1, such as 0/4")
+    return int(first), int(second)
+
+
+def parse_sizes(text: str) -> tuple[int, ...]:
+    """Read sizes in metres, `0.3,0.5`, as whole millimetres."""
+    sizes = []
+    for part in text.split(","):
+        try:
+            mm = float(part) * 1000
+            if not abs(mm - round(mm)) < 1e-6:
+                raise ValueError(part)
+        except (ValueError, OverflowError) as err:
+            raise typer.BadParameter(
+                f"--sizes {text!r}: write metres separated by commas, down to whole millimetres, "
+                "such as 0.3,0.5,0.8"
+            ) from err
+        sizes.append(round(mm))
+    return tuple(sizes)
+
+
+def parse_words(text: str) -> tuple[str, ...]:
+    """Read words separated by commas; empty parts do not count."""
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def configured(base: T, config: Path | None, assignments: list[str] | None) -> T:
+    """Apply `--config FILE`, then every `--set KEY=VALUE`, to a configuration."""
+    from bidexdata.config import from_plain, load_yaml, merge, to_plain, with_overrides
+
+    if config is not None:
+        base = from_plain(type(base), merge(to_plain(base), load_yaml(config)), str(config))
+    return with_overrides(base, assignments) if assignments else base

@@ -1,0 +1,80 @@
+"""`bidexdata pack`: runs become a release."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bidexdata.cli import options
+from bidexdata.cli.figures import figure_lines
+from bidexdata.cli.report import command, finish, warn
+
+
+def pack(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Runs of the same hands.")],
+    out: Annotated[Path, typer.Option(metavar="RELEASE", help="Folder of the release.")],
+    name: Annotated[str, typer.Option(help="Name of the data set.")],
+    version: Annotated[str, typer.Option(metavar="X.Y.Z", help="Version of the data set.")],
+    form: Annotated[
+        str, typer.Option(help="both, or parquet without the training form grasps.h5.")
+    ] = "both",
+    licences: Annotated[
+        str, typer.Option(help="nc-ok (all objects) or permissive (known permissive licences).")
+    ] = "nc-ok",
+    split: Annotated[str, typer.Option(help="object: no object is in two splits.")] = "object",
+    seed: options.Seed = 0,
+    as_json: options.Json = False,
+    quiet: options.Quiet = False,
+    debug: options.Debug = False,
+) -> None:
+    """Write a release of finished runs.
+
+    It holds tables, shapes, hands, clouds, a card and a manifest.
+
+    --json keys: release, name, version, unfinished, untested, left_out, and all figures of the
+    card (n, objects, scenes, suc_f, kept, by_size, by_status, by_verdict, tests ...).
+    """
+    from typing import cast
+
+    from bidexdata.errors import NotUsable
+    from bidexdata.runs.pack import DEFAULT_PROTOCOL, Licences, pack_runs
+
+    if licences not in ("nc-ok", "permissive"):
+        raise NotUsable(f"--licences {licences!r}: this version offers nc-ok and permissive")
+    if split != "object":
+        raise NotUsable(f"--split {split!r}: this version splits by object")
+    report = pack_runs(
+        runs,
+        out,
+        name=name,
+        version=version,
+        form=form,
+        licences=cast("Licences", licences),
+        seed=seed,
+        quiet=quiet,
+    )
+    for run, number in report.unfinished.items():
+        warn(f"run {run}: {number} tasks are not done; their grasps are not in the release")
+    if report.untested:
+        warn(f"{report.untested} objects are not validated completely and carry no verdicts")
+    if report.left_out:
+        warn(f"{len(report.left_out)} objects left out for their licence")
+    data = {
+        "release": str(report.path),
+        "name": name,
+        "version": version,
+        "unfinished": dict(report.unfinished),
+        "untested": report.untested,
+        "left_out": list(report.left_out),
+        **report.figures,
+    }
+    lines = [*figure_lines(report.figures, DEFAULT_PROTOCOL), f"written to {report.path}"]
+    finish(
+        data,
+        lines,
+        following=command("view", out),
+        as_json=as_json,
+        quiet=quiet,
+    )

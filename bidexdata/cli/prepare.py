@@ -1,0 +1,78 @@
+"""`bidexdata prepare`: mesh files and built-in shapes become an object library."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bidexdata.cli import options
+from bidexdata.cli.report import command, counts_text, finish
+
+
+def prepare(
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SOURCE...",
+            help="Mesh files, folders, globs, list files (.txt, .csv), or shapes[:FAMILY,...].",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar="LIBRARY", help="Folder of the library.")],
+    limit: Annotated[
+        int | None, typer.Option(min=1, help="Only the first N inputs in byte order of the path.")
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="List the inputs and write nothing.")
+    ] = False,
+    workers: options.Workers = 0,
+    executor: options.ExecutorName = "processes",
+    config: options.ConfigFile = None,
+    assignments: options.Assignments = None,
+    as_json: options.Json = False,
+    quiet: options.Quiet = False,
+    debug: options.Debug = False,
+) -> None:
+    """Turn mesh files into an object library.
+
+    --json keys: library, inputs, prepared, hulls, resumed, by_status, failures, seconds,
+    fingerprint.
+    """
+    from bidexdata.errors import NothingSucceeded
+    from bidexdata.objects.config import PrepareConfig
+    from bidexdata.record import Status
+    from bidexdata.runs.prepare import prepare_library
+
+    report = prepare_library(
+        sources,
+        out,
+        options.configured(PrepareConfig(), config, assignments),
+        limit=limit,
+        dry_run=dry_run,
+        executor=executor,
+        workers=workers,
+        quiet=quiet,
+    )
+    failed = [r for r in report.rows if r["status"] not in (Status.OK, Status.DUPLICATE)]
+    failures = [{k: r[k] for k in ("source_name", "status_label", "reason")} for r in failed]
+    if dry_run:
+        lines = [str(r["source_name"]) for r in report.rows]
+        lines.append(f"{len(report.rows)} inputs; nothing was written")
+    else:
+        lines = [f"{r['source_name']}: {r['reason']}" for r in failed]
+        lines.append(
+            f"{report.prepared} of {len(report.rows)} inputs prepared "
+            f"({counts_text(report.by_status)}; {report.hulls} replaced by the hull) "
+            f"in {report.seconds:.1f} s"
+        )
+    good = dry_run or report.prepared > 0
+    finish(
+        {**report.as_dict(), "failures": failures},
+        lines,
+        following=command("synth", out, "--out", "RUN") if good and not dry_run else "",
+        as_json=as_json,
+        quiet=quiet,
+    )
+    if not good:
+        raise NothingSucceeded(f"no input of {len(report.rows)} could be prepared; see the reasons")

@@ -1,0 +1,80 @@
+"""How a command ends: a JSON object, or lines for a person with the next command last."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+
+def finish(
+    data: Mapping[str, Any],
+    lines: Iterable[str],
+    *,
+    following: str = "",
+    as_json: bool = False,
+    quiet: bool = False,
+) -> None:
+    """Print the result of a command on standard output.
+
+    Args:
+        data: What `--json` prints, besides `next`.
+        lines: What a person reads.
+        following: The command that comes next.
+        as_json: Print JSON instead of lines.
+        quiet: Print no lines.
+    """
+    if as_json:
+        print(json.dumps({**data, **({"next": following} if following else {})}, default=str))
+        return
+    if quiet:
+        return
+    for line in lines:
+        print(line)
+    if following:
+        print(f"next: {following}")
+
+
+def command(*parts: str | Path) -> str:
+    """Spell a bidexdata command so that it can be pasted into a shell."""
+    return shlex.join(["bidexdata", *(str(p) for p in parts)])
+
+
+def warn(text: str) -> None:
+    """Print a line on standard error."""
+    print(text, file=sys.stderr)
+
+
+def counts_text(counts: Mapping[str, int]) -> str:
+    """`12 ok, 3 no_placement`, largest first."""
+    ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+    return ", ".join(f"{n} {label}" for label, n in ordered) or "none"
+
+
+def percent(rate: Mapping[str, Any] | None) -> str:
+    """A rate with its interval: `91.2 % (88.0-93.6, 456 of 500)`; `-` where there is none."""
+    if not rate or rate.get("rate") is None:
+        return "-"
+    low, high = 100 * rate["low"], 100 * rate["high"]
+    return f"{100 * rate['rate']:.1f} % ({low:.1f}-{high:.1f}, {rate['k']} of {rate['n']})"
+
+
+def share(value: float | None) -> str:
+    """A share without interval: `87.5 %`."""
+    return "-" if value is None else f"{100 * value:.1f} %"
+
+
+def millimetres(value: float | None) -> str:
+    """A length: `1.84 mm`."""
+    return "-" if value is None else f"{1000 * value:.2f} mm"
+
+
+def table(rows: list[list[str]]) -> list[str]:
+    """Align columns; the first row is the head."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return [
+        "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows
+    ]

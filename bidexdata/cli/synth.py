@@ -1,0 +1,104 @@
+"""`bidexdata synth`: grasps for every object of a library."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from bidexdata.cli import options
+from bidexdata.cli.report import command, counts_text, finish, warn
+
+PAPER_SIZES = "0.3,0.35,0.4,0.45,0.5,0.55,0.6,0.65,0.7,0.75,0.8"
+
+
+def synth(
+    library: Annotated[Path, typer.Argument(metavar="LIBRARY", help="Made by prepare.")],
+    out: Annotated[
+        Path, typer.Option(metavar="RUN", help="Folder of the run; resumed if it is there.")
+    ],
+    hand: Annotated[
+        str,
+        typer.Option(help="NAME or LEFT,RIGHT; `bidexdata hands` lists them; a spec file works."),
+    ] = "shadow",
+    sizes: Annotated[
+        str, typer.Option(help="Bounding-box diagonals in metres, separated by commas.")
+    ] = PAPER_SIZES,
+    grasps: Annotated[
+        int | None, typer.Option(min=1, help="Grasps kept per scene (10); may grow on a run.")
+    ] = None,
+    candidates: Annotated[
+        int | None, typer.Option(min=1, help="Attempts per scene (4 per grasp kept).")
+    ] = None,
+    setting: Annotated[str, typer.Option(help="floating or tabletop.")] = "floating",
+    preset: Annotated[str, typer.Option(help="`bidexdata presets` lists them.")] = "default",
+    device: Annotated[str, typer.Option(help="cpu, or cuda:0 where there is one.")] = "cpu",
+    workers: options.Workers = 0,
+    executor: options.ExecutorName = "processes",
+    shard: options.Shard = None,
+    seed: options.Seed = 0,
+    config: options.ConfigFile = None,
+    assignments: options.Assignments = None,
+    as_json: options.Json = False,
+    quiet: options.Quiet = False,
+    debug: options.Debug = False,
+) -> None:
+    """Synthesise two-handed grasps.
+
+    The same command goes on after a stop.
+
+    --json keys: run, fingerprint, tasks, tasks_before, tasks_failed, n, selected, by_status,
+    seconds. All but tasks and tasks_before count this call only; `info` gives the whole run.
+    """
+    from bidexdata.errors import NothingSucceeded, NotUsable
+    from bidexdata.runs.run import Run
+    from bidexdata.runs.synth import SynthRequest, synth_library
+    from bidexdata.synthesis.presets import load_preset
+
+    if setting not in ("floating", "tabletop"):
+        raise NotUsable(f"--setting {setting!r}: the settings are floating and tabletop")
+    sizes_mm = options.parse_sizes(sizes)
+    execution = options.execution_of(executor, workers, shard, quiet)
+    request = SynthRequest(
+        config=options.configured(load_preset(preset), config, assignments),
+        preset=preset,
+        hand=hand,
+        sizes_mm=sizes_mm,
+        setting="tabletop" if setting == "tabletop" else "floating",
+        grasps=grasps,
+        candidates=candidates,
+        seed=seed,
+    )
+    report = synth_library(library, out, request, execution=execution, device=device)
+    failed = len(report.failures)
+    data: dict[str, Any] = {
+        "run": str(out),
+        "fingerprint": Run.open(out).fingerprint,
+        "tasks": report.tasks,
+        "tasks_before": report.before,
+        "tasks_failed": failed,
+        "n": report.rows,
+        "selected": report.good,
+        "by_status": report.by_status,
+        "seconds": round(report.seconds, 3),
+    }
+    if failed:
+        warn(
+            f"{failed} of {report.tasks} tasks failed (first: {report.failures[0].reason}); "
+            f"{out}/logs has the details, and the same command tries them again"
+        )
+    done = report.before + report.finished
+    finish(
+        data,
+        [
+            f"{report.good} grasps selected, {report.rows} rows stored by {report.finished} tasks "
+            f"in {report.seconds:.1f} s ({done} of {report.tasks} tasks are done)",
+            f"attempts: {counts_text(report.by_status)}",
+        ],
+        following=command("validate", out) if done else "",
+        as_json=as_json,
+        quiet=quiet,
+    )
+    if report.tasks and not (report.before or report.good):
+        raise NothingSucceeded(f"{out}: not one grasp was made; `bidexdata info {out}` says why")

@@ -1,0 +1,88 @@
+"""`bidexdata validate`: test the grasps of a run, or of a release, by a named protocol."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from bidexdata.cli import options
+from bidexdata.cli.report import command, counts_text, finish, warn
+
+
+def validate(
+    path: Annotated[Path, typer.Argument(metavar="RUN|RELEASE", help="What to test.")],
+    protocol: Annotated[str, typer.Option(help="`bidexdata protocols` lists them.")] = "paper-1",
+    tests: Annotated[
+        str, typer.Option(help="f, l, a separated by commas; by default what the rows allow.")
+    ] = "",
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="RUN2", help="For a release: the run that gets the new verdicts."),
+    ] = None,
+    workers: options.Workers = 0,
+    executor: options.ExecutorName = "processes",
+    shard: options.Shard = None,
+    as_json: options.Json = False,
+    quiet: options.Quiet = False,
+    debug: options.Debug = False,
+) -> None:
+    """Test grasps in simulation by a named protocol.
+
+    Grasps that have a verdict are left alone, so the same command goes on after a stop.
+
+    --json keys: run, protocol, seconds and, per test in `tests`: tasks, tasks_before,
+    tasks_failed, n, success, by_status, seconds. n, success and by_status count this call only.
+    """
+    from bidexdata.errors import NothingSucceeded, NotUsable
+    from bidexdata.runs.retest import start_retest
+    from bidexdata.runs.run import Run
+    from bidexdata.runs.validate import validate_run
+    from bidexdata.validation.protocols import load_protocol
+
+    rules = load_protocol(protocol)
+    execution = options.execution_of(executor, workers, shard, quiet)
+    if (path / "manifest.json").exists():
+        if out is None:
+            raise NotUsable(f"{path} is a release and never changed; name a run with --out RUN2")
+        run = start_retest(path, out)
+    else:
+        if out is not None:
+            raise NotUsable(f"--out is for releases; the verdicts of {path} are stored in it")
+        run = Run.open(path)
+    reports = validate_run(run, rules, options.parse_words(tests), execution=execution)
+    data: dict[str, Any] = {
+        "run": str(run.path),
+        "protocol": protocol,
+        "seconds": round(sum(r.seconds for r in reports.values()), 3),
+        "tests": {},
+    }
+    lines = []
+    for test, report in reports.items():
+        data["tests"][test] = {
+            "tasks": report.tasks,
+            "tasks_before": report.before,
+            "tasks_failed": len(report.failures),
+            "n": report.rows,
+            "success": report.good,
+            "by_status": report.by_status,
+            "seconds": round(report.seconds, 3),
+        }
+        lines.append(
+            f"test {test}: {report.good} of {report.rows} rows pass "
+            f"({counts_text(report.by_status)}) in {report.seconds:.1f} s"
+        )
+        if report.failures:
+            warn(
+                f"{len(report.failures)} of {report.tasks} tasks failed (first: "
+                f"{report.failures[0].reason}); the same command tries them again"
+            )
+    following = command("info", run.path)
+    if run.spec.kind == "synth":
+        following = command(
+            *("pack", run.path, "--out", "RELEASE", "--name", "NAME", "--version", "1.0.0")
+        )
+    finish(data, lines, following=following, as_json=as_json, quiet=quiet)
+    if not any(r.before or r.good for r in reports.values()):
+        raise NothingSucceeded(f"{run.path}: not one grasp passed; `bidexdata info` says why")

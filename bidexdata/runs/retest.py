@@ -1,0 +1,88 @@
+"""Testing a release: its rows become a run beside it, which `validate` then works on."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bidexdata.config import differing_keys, fingerprint
+from bidexdata.errors import ConfigConflict, NotUsable
+from bidexdata.record import FIELDS, GraspBatch
+from bidexdata.runs.plan import Task, write_plan
+from bidexdata.runs.run import PLAN_FILE, Run
+from bidexdata.runs.shards import shard_path, write_shard
+from bidexdata.runs.spec import RUN_FILE, RunSpec, package_versions, relative_to_run, write_spec
+
+if TYPE_CHECKING:
+    from bidexdata.formats.release import Release
+
+
+def start_retest(release_path: str | Path, out: str | Path) -> Run:
+    """Copy the rows of a release into a run folder without verdicts, one task per object.
+
+    Raises:
+        ConfigConflict: `out` is a run of something else.
+        NotUsable: `out` is no run and not empty.
+    """
+    from bidexdata.formats.release import Release
+
+    release, out = Release.open(release_path), Path(out)
+    spec = _spec(release, out)
+    if (out / RUN_FILE).exists():
+        old = Run.open(out)
+        differing = differing_keys(old.spec.identity(), spec.identity())
+        if differing:
+            raise ConfigConflict(out, differing)
+        return old
+    if out.exists() and (not out.is_dir() or any(p.name != "import" for p in out.iterdir())):
+        raise NotUsable(f"{out} exists and is no run; choose another --out")
+    run = Run(out, spec)
+    tasks = []
+    for object_id in release.object_ids:
+        batch = _rows(release, object_id, run)
+        if batch is None:
+            continue
+        scenes = tuple(dict.fromkeys(batch["scene_id"].tolist()))
+        task = Task(fingerprint([object_id, scenes, 0]), object_id, scenes, 0)
+        path = shard_path(run.stage_folder("rows"), task.task_id)
+        write_shard(path, batch.to_arrow(), run.fingerprint)
+        tasks.append(task)
+    if not tasks:
+        raise NotUsable(f"{release.path} holds no grasps")
+    write_plan(out / PLAN_FILE, tasks)
+    write_spec(out, spec)  # last: a killed copy starts again
+    return run
+
+
+def _spec(release: Release, out: Path) -> RunSpec:
+    manifest = (release.path / "manifest.json").read_bytes()
+    sizes = release.index("selected", columns=["size_mm"]).column("size_mm").unique().to_pylist()
+    return RunSpec(
+        kind="release",
+        hand=",".join(h.name for h in release.hands),
+        hands=release.hands,
+        sizes_mm=tuple(sorted(sizes)),
+        source=relative_to_run(release.path, out),
+        source_fingerprint=hashlib.sha256(manifest).hexdigest()[:16],
+        versions=package_versions(),
+    )
+
+
+def _rows(release: Release, object_id: str, run: Run) -> GraspBatch | None:
+    """Selected rows, then audit rows that are not selected too; no verdicts."""
+    parts = []
+    for configuration in release.configurations:
+        batch = release.grasps(object_id, configuration=configuration)
+        if configuration == "audit":
+            batch = batch.select(~batch["selected"])
+        columns = {n: c for n, c in batch.columns.items() if FIELDS[n].written_by != "validate"}
+        if len(batch):
+            parts.append(GraspBatch(batch.header, columns))
+    if not parts:
+        return None
+    joined = GraspBatch.concat(parts)
+    prints = {**joined.header.fingerprints, "run": run.fingerprint}
+    header = dataclasses.replace(joined.header, fingerprints=prints)
+    return dataclasses.replace(joined, header=header)
