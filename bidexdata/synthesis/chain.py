@@ -11,7 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from bidexdata.hands.device import record_hand_backward, record_hand_forward
+import warp as wp
+
+from bidexdata.hands.device import backward_arguments, forward_arguments
+from bidexdata.hands.kinematics_kernels import hand_backward, hand_forward
+from bidexdata.synthesis import contact_kernels, distance_field_kernels, sphere_kernels
+from bidexdata.synthesis.update_kernels import adam_step
 from bidexdata.wrench.qp import (
     ContactQP,
     QPConfig,
@@ -20,80 +25,52 @@ from bidexdata.wrench.qp import (
 )
 
 if TYPE_CHECKING:
-    from bidexdata.synthesis.optimise_config import (
-        AdamConfig,
-        EnergyConfig,
-        PhaseConfig,
-    )
-    from bidexdata.synthesis.workspace import HandState, Workspace
+    from bidexdata.synthesis.optimise_config import AdamConfig, EnergyConfig, PhaseConfig
+    from bidexdata.synthesis.workspace import HandWork, Workspace
 
 Call = Callable[[], Any]
 
 
 def kinematics(ws: Workspace) -> list[Call]:
     """Poses -> contact centres, pad normals, spheres."""
-    views = zip(ws.hands, ws.views("centres"), ws.views("pads"), strict=True)
-    return [_forward(ws, hand, centres, pads) for hand, centres, pads in views]
+    calls = []
+    for hand in ws.hands:
+        pose = (hand.position, hand.rotation, hand.joints)
+        arguments = forward_arguments(hand.model, hand.points, *pose)
+        calls.append(_record(ws, hand_forward, (ws.count,), arguments))
+    return calls
 
 
 def surface(ws: Workspace, energy: EnergyConfig) -> list[Call]:
     """Contact centres -> distance, closest surface point, inward normal."""
-    from bidexdata.synthesis import distance_field_kernels as k
-
     c = ws.contacts
-    return [
-        _record(
-            k.closest_surface,
-            c.centres.shape,
-            [ws.field, ws.size, energy.normal_step, c.centres],
-            [c.distance, c.direction, c.points, c.normals_in],
-        )
-    ]
+    arguments = [ws.field, ws.size, energy.normal_step, c.centres]
+    arguments += [c.distance, c.direction, c.points, c.normals_in]
+    return [_record(ws, distance_field_kernels.closest_surface, c.centres.shape, arguments)]
 
 
 def distance_term(ws: Workspace, energy: EnergyConfig, target: float) -> list[Call]:
     """Distance of the pads to the surface; starts the centre gradient."""
-    from bidexdata.synthesis import contact_kernels as k
-
     c = ws.contacts
-    return [
-        _record(
-            k.contact_distance,
-            c.centres.shape,
-            [c.radius, energy.distance, target, c.distance, c.direction],
-            [c.distance_energy, c.centre_gradient],
-        )
-    ]
+    arguments = [c.radius, energy.distance, target, c.distance, c.direction]
+    arguments += [c.distance_energy, c.centre_gradient]
+    return [_record(ws, contact_kernels.contact_distance, c.centres.shape, arguments)]
 
 
 def target_term(ws: Workspace, energy: EnergyConfig, target: float) -> list[Call]:
     """Distance of the pads to their places over frozen points; starts the centre gradient."""
-    from bidexdata.synthesis import contact_kernels as k
-
     c = ws.contacts
-    return [
-        _record(
-            k.contact_target,
-            c.centres.shape,
-            [c.radius, energy.distance, target, c.centres, c.points, c.normals_in],
-            [c.distance_energy, c.centre_gradient],
-        )
-    ]
+    arguments = [c.radius, energy.distance, target, c.centres, c.points, c.normals_in]
+    arguments += [c.distance_energy, c.centre_gradient]
+    return [_record(ws, contact_kernels.contact_target, c.centres.shape, arguments)]
 
 
 def region_term(ws: Workspace, energy: EnergyConfig) -> list[Call]:
     """Distance of the contacts to their hand's region."""
-    from bidexdata.synthesis import contact_kernels as k
-
     c = ws.contacts
-    return [
-        _record(
-            k.contact_region,
-            c.centres.shape,
-            [c.hand, energy.region, energy.region_threshold, c.regions, c.centres],
-            [c.region_energy, c.centre_gradient],
-        )
-    ]
+    arguments = [c.hand, energy.region, energy.region_threshold, c.regions, c.centres]
+    arguments += [c.region_energy, c.centre_gradient]
+    return [_record(ws, contact_kernels.contact_region, c.centres.shape, arguments)]
 
 
 def closure_term(
@@ -123,27 +100,18 @@ def closure_term(
 
 def pad_term(ws: Workspace, energy: EnergyConfig) -> list[Call]:
     """Angle between pads and surface; starts the pad gradient."""
-    from bidexdata.synthesis import contact_kernels as k
-
     c = ws.contacts
-    return [
-        _record(
-            k.contact_pad,
-            c.centres.shape,
-            [energy.pad, energy.pad_cosine, c.pads, c.normals_in],
-            [c.pad_energy, c.pad_gradient, c.normal_gradient],
-        )
-    ]
+    arguments = [energy.pad, energy.pad_cosine, c.pads, c.normals_in]
+    arguments += [c.pad_energy, c.pad_gradient, c.normal_gradient]
+    return [_record(ws, contact_kernels.contact_pad, c.centres.shape, arguments)]
 
 
 def chain_to_centres(ws: Workspace, energy: EnergyConfig) -> list[Call]:
     """Gradients at points and normals -> centres."""
-    from bidexdata.synthesis import distance_field_kernels as k
-
     c = ws.contacts
-    inputs = [ws.field, ws.size, energy.normal_step, c.points, c.normals_in]
-    inputs += [c.point_gradient, c.normal_gradient]
-    return [_record(k.surface_chain, c.centres.shape, inputs, [c.centre_gradient])]
+    arguments = [ws.field, ws.size, energy.normal_step, c.points, c.normals_in]
+    arguments += [c.point_gradient, c.normal_gradient, c.centre_gradient]
+    return [_record(ws, distance_field_kernels.surface_chain, c.centres.shape, arguments)]
 
 
 def collision_terms(ws: Workspace, energy: EnergyConfig) -> list[Call]:
@@ -153,18 +121,9 @@ def collision_terms(ws: Workspace, energy: EnergyConfig) -> list[Call]:
 
 def backward(ws: Workspace) -> list[Call]:
     """Gradients at contacts, pads and spheres -> gradient of each hand's variables (J^T)."""
-    views = zip(ws.hands, ws.views("centre_gradient"), ws.views("pad_gradient"), strict=True)
     return [
-        record_hand_backward(
-            hand.model,
-            body_position=hand.body_position,
-            body_rotation=hand.body_rotation,
-            contact_gradient=centres,
-            normal_gradient=pads,
-            sphere_gradient=hand.sphere_gradient,
-            gradient=hand.gradient,
-        )
-        for hand, centres, pads in views
+        _record(ws, hand_backward, (ws.count,), backward_arguments(hand.model, hand.points))
+        for hand in ws.hands
     ]
 
 
@@ -173,60 +132,37 @@ def adam(ws: Workspace, rule: AdamConfig, phase: PhaseConfig) -> list[Callable[[
     return [_adam_of(ws, hand, rule, phase) for hand in ws.hands]
 
 
-def _forward(ws: Workspace, hand: HandState, centres: Any, pads: Any) -> Call:
-    return record_hand_forward(
-        hand.model,
-        hand.position,
-        hand.rotation,
-        hand.joints,
-        body_position=hand.body_position,
-        body_rotation=hand.body_rotation,
-        contact=centres,
-        normal=pads,
-        sphere=hand.spheres,
-    )
-
-
 def _collisions_of(ws: Workspace, h: int, energy: EnergyConfig) -> list[Call]:
-    from bidexdata.synthesis import sphere_kernels as k
+    k, hand, other = sphere_kernels, ws.hands[h], ws.hands[1 - h]
+    centres, push = hand.points.sphere, hand.points.sphere_grad
+    radius, other_radius = hand.model.sphere_radius, other.model.sphere_radius
+    depth, overlap = energy.penetration, energy.self_penetration
+    one, each = (ws.count,), centres.shape
 
-    hand, other = ws.hands[h], ws.hands[1 - h]
-    radius, grid = hand.model.sphere_radius, hand.spheres.shape
-    weight, pairs = energy.self_penetration, hand.model.self_pairs
-    push = hand.sphere_gradient
-    calls = [
-        _record(
-            k.sphere_object,
-            grid,
-            [radius, ws.field, ws.size, energy.penetration, energy.object_margin, hand.spheres],
-            [hand.sphere_energy, push],
-        )
-    ]
+    arguments = [radius, ws.field, ws.size, depth, energy.object_margin, centres]
+    calls = [_record(ws, k.sphere_object, each, [*arguments, hand.sphere_energy, push])]
     if ws.has_table:
-        inputs = [radius, ws.plane, energy.penetration, energy.table_margin, hand.spheres]
-        calls.append(_record(k.sphere_plane, grid, inputs, [hand.sphere_energy, push]))
-    inputs = [radius, pairs, weight, energy.self_margin, hand.spheres]
-    calls.append(_record(k.sphere_self, (ws.count,), inputs, [hand.self_energy, push]))
-    inputs = [other.model.sphere_radius, other.spheres]
-    calls.append(_record(k.hand_ball, (ws.count,), inputs, [other.ball]))
-    inputs = [radius, other.model.sphere_radius, weight, energy.inter_margin]
-    inputs += [hand.spheres, other.spheres, other.ball]
-    calls.append(_record(k.sphere_other, grid, inputs, [hand.other_energy, push]))
+        arguments = [radius, ws.plane, depth, energy.table_margin, centres]
+        calls.append(_record(ws, k.sphere_plane, each, [*arguments, hand.sphere_energy, push]))
+    arguments = [radius, hand.model.self_pairs, overlap, energy.self_margin, centres]
+    calls.append(_record(ws, k.sphere_self, one, [*arguments, hand.self_energy, push]))
+    arguments = [other_radius, other.points.sphere, other.ball]
+    calls.append(_record(ws, k.hand_ball, one, arguments))
+    arguments = [radius, other_radius, overlap, energy.inter_margin]
+    arguments += [centres, other.points.sphere, other.ball]
+    calls.append(_record(ws, k.sphere_other, each, [*arguments, hand.other_energy, push]))
     return calls
 
 
 def _adam_of(
-    ws: Workspace, hand: HandState, rule: AdamConfig, phase: PhaseConfig
+    ws: Workspace, hand: HandWork, rule: AdamConfig, phase: PhaseConfig
 ) -> Callable[[int], None]:
-    from bidexdata.synthesis.update_kernels import adam_step
-
-    inputs = [hand.lower, hand.upper, rule.beta1, rule.beta2]
-    inputs += [phase.step_position, phase.step_rotation, phase.step_joints]
-    changing = len(inputs)
-    inputs += [1.0, 1.0, 1.0, hand.gradient]
-    outputs = [hand.first_moment, hand.second_moment]
-    outputs += [hand.position, hand.rotation, hand.joints]
-    launch = _launch(adam_step, (ws.count,), inputs, outputs)
+    arguments = [hand.model.free_lower, hand.model.free_upper, rule.beta1, rule.beta2]
+    arguments += [phase.step_position, phase.step_rotation, phase.step_joints]
+    changing = len(arguments)
+    arguments += [1.0, 1.0, 1.0, hand.points.gradient, hand.first_moment, hand.second_moment]
+    arguments += [hand.position, hand.rotation, hand.joints]
+    launch = _launch(ws, adam_step, (ws.count,), arguments)
 
     def step(i: int) -> None:
         done = i / max(phase.steps - 1, 1)
@@ -242,14 +178,9 @@ def _adam_of(
     return step
 
 
-def _record(kernel: Any, dim: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> Call:
-    return _launch(kernel, dim, inputs, outputs).launch
+def _record(ws: Workspace, kernel: Any, dim: tuple[int, ...], arguments: list[Any]) -> Call:
+    return _launch(ws, kernel, dim, arguments).launch
 
 
-def _launch(kernel: Any, dim: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> Any:
-    import warp as wp
-
-    device = outputs[0].device
-    return wp.launch(
-        kernel, dim=dim, inputs=inputs, outputs=outputs, device=device, record_cmd=True
-    )
+def _launch(ws: Workspace, kernel: Any, dim: tuple[int, ...], arguments: list[Any]) -> Any:
+    return wp.launch(kernel, dim=dim, inputs=arguments, device=ws.device, record_cmd=True)

@@ -91,7 +91,7 @@ def joint_torques(
     c.centre_gradient.assign(wp.array(flat, dtype=wp.vec3, device=ws.device))
     c.pad_gradient.zero_()
     for hand in ws.hands:
-        hand.sphere_gradient.zero_()
+        hand.points.sphere_grad.zero_()
     for call in [*chain.kinematics(ws), *chain.backward(ws)]:
         call()
-    return [hand.gradient.numpy()[:, 6:].astype(np.float64) for hand in ws.hands]
+    return [hand.points.gradient.numpy()[:, 6:].astype(np.float64) for hand in ws.hands]

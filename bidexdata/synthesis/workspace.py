@@ -7,14 +7,14 @@ part as a view. Spheres differ in number, so they are kept per hand.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
-from bidexdata.hands.device import DeviceHand, device_hand
+from bidexdata.hands.device import DeviceHand, HandState, device_hand, free_limits
 from bidexdata.synthesis.distance_field import device_field
 
 if TYPE_CHECKING:
@@ -25,38 +25,27 @@ SIDES = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class HandState:
+class HandWork:
     """One hand of every grasp: its pose, what follows from it, and the step rule's memory."""
 
     model: DeviceHand
-    lower: Any
-    """Lower limits of the free variables [rad], (D,)."""
-    upper: Any
-    """(D,)."""
+    points: HandState
+    """Bodies, points, spheres and the gradients at them; contact arrays are views of the
+    `ContactState`'s."""
     position: Any
     """Origin of the hand frame [m], (N,) vec3."""
     rotation: Any
     """Orientation of the hand frame, (N,) mat33."""
     joints: Any
     """Free variables u [rad], (N, D)."""
-    body_position: Any
-    """(N, B) vec3."""
-    body_rotation: Any
-    """(N, B) mat33."""
-    spheres: Any
-    """Sphere centres [m], (N, K) vec3."""
     ball: Any
     """Ball around all spheres (centre, radius), (N,) vec4."""
-    sphere_gradient: Any
-    """(N, K) vec3."""
     sphere_energy: Any
     """Squared depths in object and table [m2], (N, K)."""
     self_energy: Any
     """Squared overlaps within the hand [m2], (N,)."""
     other_energy: Any
     """This hand's half of the squared overlaps with the other [m2], (N, K)."""
-    gradient: Any
-    """With respect to translation, rotation and u, (N, 6 + D)."""
     first_moment: Any
     """(N, 6 + D)."""
     second_moment: Any
@@ -112,15 +101,9 @@ class Workspace:
     """Table under each grasp in the object frame (normal, offset); zero where there is none, (N,)
     vec4."""
     has_table: bool
-    hands: tuple[HandState, HandState]
+    hands: tuple[HandWork, HandWork]
     contacts: ContactState
     contacts_per_hand: tuple[int, int]
-
-    def views(self, name: str) -> list[Any]:
-        """The two hands' parts of a contact array."""
-        array = getattr(self.contacts, name)
-        stride = array.shape[1] // SIDES
-        return [array[:, h * stride : h * stride + c] for h, c in enumerate(self.contacts_per_hand)]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -138,17 +121,6 @@ class Start:
     """Points of each hand's region; one point, the anchor, where distances are to it [m]."""
     plane: Float[np.ndarray, "N 4"]
     """Table in the object frame: normal . x + offset >= 0 above it; zeros without a table."""
-
-
-def free_limits(hand: Hand) -> tuple[Float[np.ndarray, " D"], Float[np.ndarray, " D"]]:
-    """Limits of the free variables [rad]: those that keep every coupled joint within its own."""
-    lower = np.full(hand.coupling.shape[1], -np.inf)
-    upper = np.full(hand.coupling.shape[1], np.inf)
-    for j, d in zip(*np.nonzero(hand.coupling), strict=True):
-        ends = np.array([hand.joint_lower[j], hand.joint_upper[j]]) / hand.coupling[j, d]
-        lower[d] = max(lower[d], ends.min())
-        upper[d] = min(upper[d], ends.max())
-    return lower, upper
 
 
 def free_variables(hand: Hand, joints: Float[np.ndarray, "N J"]) -> Float[np.ndarray, "N D"]:
@@ -219,36 +191,54 @@ def allocate(
         plane=copy(start.plane, wp.vec4),
         has_table=bool(np.any(start.plane)),
         hands=(
-            _hand_state(hands[0], 0, start, zeros, copy, device),
-            _hand_state(hands[1], 1, start, zeros, copy, device),
+            _hand_work(hands[0], 0, start, contacts, zeros, copy, device),
+            _hand_work(hands[1], 1, start, contacts, zeros, copy, device),
         ),
         contacts=contacts,
         contacts_per_hand=(counts[0], counts[1]),
     )
 
 
-def _hand_state(hand: Hand, h: int, start: Start, zeros: Any, copy: Any, device: str) -> HandState:
+def _hand_work(
+    hand: Hand,
+    h: int,
+    start: Start,
+    contacts: ContactState,
+    zeros: Callable[..., Any],
+    copy: Callable[..., Any],
+    device: str,
+) -> HandWork:
     import warp as wp
 
     n, bodies, spheres = len(start.size), len(hand.body_names), len(hand.sphere_body)
-    lower, upper = free_limits(hand)
-    free = len(lower)
-    return HandState(
+    free = hand.coupling.shape[1]
+    first = h * contacts.centres.shape[1] // SIDES
+
+    def own(array: Any) -> Any:
+        return array[:, first : first + len(hand.contact_body)]
+
+    points = HandState(
+        body_pos=zeros((n, bodies), wp.vec3),
+        body_rot=zeros((n, bodies), wp.mat33),
+        contact=own(contacts.centres),
+        normal=own(contacts.pads),
+        sphere=zeros((n, spheres), wp.vec3),
+        contact_grad=own(contacts.centre_gradient),
+        normal_grad=own(contacts.pad_gradient),
+        sphere_grad=zeros((n, spheres), wp.vec3),
+        gradient=zeros((n, 6 + free)),
+        scratch=(zeros((n, bodies), wp.vec3), zeros((n, bodies), wp.vec3)),
+    )
+    return HandWork(
         model=device_hand(hand, device),
-        lower=copy(lower),
-        upper=copy(upper),
+        points=points,
         position=copy(start.position[:, h], wp.vec3),
         rotation=copy(start.rotation[:, h], wp.mat33),
         joints=copy(free_variables(hand, start.joints[h])),
-        body_position=zeros((n, bodies), wp.vec3),
-        body_rotation=zeros((n, bodies), wp.mat33),
-        spheres=zeros((n, spheres), wp.vec3),
         ball=zeros(n, wp.vec4),
-        sphere_gradient=zeros((n, spheres), wp.vec3),
         sphere_energy=zeros((n, spheres)),
         self_energy=zeros(n),
         other_energy=zeros((n, spheres)),
-        gradient=zeros((n, 6 + free)),
         first_moment=zeros((n, 6 + free)),
         second_moment=zeros((n, 2 + free)),
     )
