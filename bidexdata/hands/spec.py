@@ -89,11 +89,11 @@ class SphereFitSpec:
     max_radius: float = 0.0135
     protrusion: float = 0.0015
     """How far a sphere may stand out of the collision geometry."""
-    slack: float = 0.33
+    slack: float = 0.4
     """A surface sample within this share of a sphere's radius outside it counts as covered [-]."""
-    worth: float = 3e-4
+    worth: float = 4e-4
     """Area that a further sphere must newly cover [m^2]: corners of boxes are not worth one."""
-    thin: float = 0.002
+    thin: float = 0.003
     """Parts of less than twice this thickness get no sphere."""
     spacing: float = 0.004
     """Distance between candidate centres and between surface samples."""

@@ -120,13 +120,20 @@ def _cover(
 
 
 def _grid_inside(shapes: list[Shape], spacing: float) -> FloatArray:
-    """Grid points inside the union, symmetric about the middle of its bounding box."""
-    corners = np.concatenate([s.vertices @ s.R.T + s.pos for s in shapes])
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    middle = 0.5 * (low + high)
-    steps = np.floor(0.5 * (high - low) / spacing).astype(int)
-    axes = [m + spacing * np.arange(-n, n + 1) for m, n in zip(middle, steps, strict=True)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    """Grid points inside the shapes, (n, 3).
+
+    Each shape has its own grid along its own axes through its middle, so that axes of capsules
+    and middle planes of boxes, where the largest spheres sit, are always among the points.
+    """
+    found = []
+    for shape in shapes:
+        low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+        middle = 0.5 * (low + high)
+        steps = np.floor(0.5 * (high - low) / spacing).astype(int)
+        axes = [m + spacing * np.arange(-n, n + 1) for m, n in zip(middle, steps, strict=True)]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        found.append(points @ shape.R.T + shape.pos)
+    points = np.concatenate(found)
     return points[depth(shapes, points) > 0]
 
 
