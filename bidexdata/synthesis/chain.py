@@ -140,16 +140,17 @@ def _collisions_of(ws: Workspace, h: int, energy: EnergyConfig) -> list[Call]:
     one, each = (ws.count,), centres.shape
 
     arguments = [radius, ws.field, ws.size, depth, energy.object_margin, centres]
-    calls = [_record(ws, k.sphere_object, each, [*arguments, hand.sphere_energy, push])]
+    arguments += [hand.measured, hand.sphere_energy, push]
+    calls = [_record(ws, k.sphere_object, each, arguments)]
     if ws.has_table:
         arguments = [radius, ws.plane, depth, energy.table_margin, centres]
         calls.append(_record(ws, k.sphere_plane, each, [*arguments, hand.sphere_energy, push]))
     arguments = [radius, hand.model.self_pairs, overlap, energy.self_margin, centres]
     calls.append(_record(ws, k.sphere_self, one, [*arguments, hand.self_energy, push]))
-    arguments = [other_radius, other.points.sphere, other.ball]
-    calls.append(_record(ws, k.hand_ball, one, arguments))
+    arguments = [other_radius, other.points.sphere, other.low, other.high]
+    calls.append(_record(ws, k.hand_box, one, arguments))
     arguments = [radius, other_radius, overlap, energy.inter_margin]
-    arguments += [centres, other.points.sphere, other.ball]
+    arguments += [centres, other.points.sphere, other.low, other.high]
     calls.append(_record(ws, k.sphere_other, each, [*arguments, hand.other_energy, push]))
     return calls
 

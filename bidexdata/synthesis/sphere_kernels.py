@@ -10,6 +10,11 @@ from bidexdata.synthesis.distance_field_kernels import DistanceField, signed_dis
 
 wp.set_module_options({"enable_backward": False})
 
+# A sphere that has moved less than this share of its clearance cannot touch. Interpolated
+# distances of an exact field change by less than sqrt(3) times the way; 0.5 leaves room.
+SAFE = wp.constant(0.5)
+FAR_OFF = wp.constant(1.0e9)
+
 
 @wp.kernel
 def sphere_object(
@@ -23,16 +28,31 @@ def sphere_object(
     margin: float,
     # Problem in:
     centres_in: wp.array2d[wp.vec3],
-    # Problem out:
+    # Problem out: where each sphere was last measured and its clearance there
+    measured_inout: wp.array2d[wp.vec4],
     energy_out: wp.array2d[float],
     gradient_out: wp.array2d[wp.vec3],
 ):
-    """Squared depth of each sphere in the object's margin; starts the sphere gradient."""
+    """Squared depth of each sphere in the object's margin; starts the sphere gradient.
+
+    Most spheres are far from the object, so the field is read again only when a sphere may have
+    come near it since it was last measured. That changes the cost, not the result.
+    """
     grasp, i = wp.tid()
-    s = signed_distance(field, size[grasp], centres_in[grasp, i])
-    h = wp.max(radius[i] + margin - s[0], 0.0)
-    energy_out[grasp, i] = h * h
-    gradient_out[grasp, i] = (-2.0 * weight * h) * wp.vec3(s[1], s[2], s[3])
+    c = centres_in[grasp, i]
+    last = measured_inout[grasp, i]
+    energy = float(0.0)
+    gradient = wp.vec3(0.0, 0.0, 0.0)
+    moved = c - wp.vec3(last[0], last[1], last[2])
+    if last[3] <= 0.0 or wp.length_sq(moved) > last[3] * last[3]:
+        s = signed_distance(field, size[grasp], c)
+        clear = s[0] - radius[i] - margin
+        if clear < 0.0:
+            energy = clear * clear
+            gradient = (2.0 * weight * clear) * wp.vec3(s[1], s[2], s[3])
+        measured_inout[grasp, i] = wp.vec4(c[0], c[1], c[2], SAFE * clear)
+    energy_out[grasp, i] = energy
+    gradient_out[grasp, i] = gradient
 
 
 @wp.kernel
@@ -94,26 +114,26 @@ def sphere_self(
 
 
 @wp.kernel
-def hand_ball(
+def hand_box(
     # Hand:
     radius: wp.array[float],
     # Problem in:
     centres_in: wp.array2d[wp.vec3],
     # Problem out:
-    ball_out: wp.array[wp.vec4],
+    low_out: wp.array[wp.vec3],
+    high_out: wp.array[wp.vec3],
 ):
-    """A ball (centre, radius) around all spheres of a hand, (N,)."""
+    """The axis-aligned box around all spheres of a hand, (N,)."""
     grasp = wp.tid()
-    low = centres_in[grasp, 0]
-    high = low
-    for i in range(1, centres_in.shape[1]):
-        low = wp.min(low, centres_in[grasp, i])
-        high = wp.max(high, centres_in[grasp, i])
-    middle = 0.5 * (low + high)
-    reach = float(0.0)
+    low = wp.vec3(FAR_OFF, FAR_OFF, FAR_OFF)
+    high = -low
     for i in range(centres_in.shape[1]):
-        reach = wp.max(reach, wp.length(centres_in[grasp, i] - middle) + radius[i])
-    ball_out[grasp] = wp.vec4(middle[0], middle[1], middle[2], reach)
+        c = centres_in[grasp, i]
+        r = wp.vec3(radius[i], radius[i], radius[i])
+        low = wp.min(low, c - r)
+        high = wp.max(high, c + r)
+    low_out[grasp] = low
+    high_out[grasp] = high
 
 
 @wp.kernel
@@ -127,7 +147,8 @@ def sphere_other(
     # Problem in:
     centres_in: wp.array2d[wp.vec3],
     other_in: wp.array2d[wp.vec3],
-    other_ball_in: wp.array[wp.vec4],
+    other_low_in: wp.array[wp.vec3],
+    other_high_in: wp.array[wp.vec3],
     # Problem out:
     energy_out: wp.array2d[float],
     gradient_inout: wp.array2d[wp.vec3],
@@ -135,14 +156,14 @@ def sphere_other(
     """Squared overlaps of each sphere with the other hand's; half of the energy is each hand's."""
     grasp, i = wp.tid()
     c = centres_in[grasp, i]
-    ball = other_ball_in[grasp]
-    near = radius[i] + margin + ball[3]
+    near = radius[i] + margin
+    beside = c - wp.min(wp.max(c, other_low_in[grasp]), other_high_in[grasp])
     energy = float(0.0)
-    if wp.length_sq(c - wp.vec3(ball[0], ball[1], ball[2])) < near * near:
+    if wp.length_sq(beside) < near * near:
         push = wp.vec3(0.0, 0.0, 0.0)
         for j in range(other_in.shape[1]):
             offset = c - other_in[grasp, j]
-            reach = radius[i] + other_radius[j] + margin
+            reach = near + other_radius[j]
             squared = wp.length_sq(offset)
             if squared < reach * reach:
                 d = wp.sqrt(squared)

@@ -38,8 +38,11 @@ class HandWork:
     """Orientation of the hand frame, (N,) mat33."""
     joints: Any
     """Free variables u [rad], (N, D)."""
-    ball: Any
-    """Ball around all spheres (centre, radius), (N,) vec4."""
+    measured: Any
+    """Where each sphere's distance was last measured, and how far it may move, (N, K) vec4."""
+    low: Any
+    high: Any
+    """Corners of the box around all spheres, (N,) vec3."""
     sphere_energy: Any
     """Squared depths in object and table [m2], (N, K)."""
     self_energy: Any
@@ -235,7 +238,9 @@ def _hand_work(
         position=copy(start.position[:, h], wp.vec3),
         rotation=copy(start.rotation[:, h], wp.mat33),
         joints=copy(free_variables(hand, start.joints[h])),
-        ball=zeros(n, wp.vec4),
+        measured=zeros((n, spheres), wp.vec4),
+        low=zeros(n, wp.vec3),
+        high=zeros(n, wp.vec3),
         sphere_energy=zeros((n, spheres)),
         self_energy=zeros(n),
         other_energy=zeros((n, spheres)),

@@ -284,8 +284,9 @@ def test_sphere_kernels_equal_the_reference():
     x *= (size[:, None] * rng.uniform(0.2, 0.4, (N, K)) / np.linalg.norm(x, axis=-1))[..., None]
     radius = rng.uniform(0.005, 0.02, K)
     e, out = poison((N, K)), poison((N, K), wp.vec3)
+    measured = wp.zeros((N, K), dtype=wp.vec4)
     args = [floats(radius), device_field(grid), floats(size), 3.0, 0.001, vectors(x)]
-    launch(k.sphere_object, (N, K), args, [e, out])
+    launch(k.sphere_object, (N, K), args, [measured, e, out])
     terms = [
         energies.sphere_object_energy(*signed_distance(grid, s, row), radius, 0.001)
         for s, row in zip(size, x, strict=True)
@@ -323,10 +324,10 @@ def test_pair_kernels_equal_the_reference():
     total = 0.0
     for own, other, part in ((left, right, slice(K)), (right, left, slice(K, None))):
         r_own, r_other = radius[part], radius[slice(K, None) if part.start is None else slice(K)]
-        ball, e = poison(N, wp.vec4), poison((N, K))
-        launch(k.hand_ball, N, [floats(r_other), other], [ball])
+        low, high, e = poison(N, wp.vec3), poison(N, wp.vec3), poison((N, K))
+        launch(k.hand_box, N, [floats(r_other), other], [low, high])
         out = vectors(np.zeros((N, K, 3)))
-        args = [floats(r_own), floats(r_other), 3.0, 0.005, own, other, ball]
+        args = [floats(r_own), floats(r_other), 3.0, 0.005, own, other, low, high]
         launch(k.sphere_other, (N, K), args, [e, out])
         assert_close(out, 3 * term.gradient[:, part])
         total = total + e.numpy().sum(1)
@@ -338,11 +339,36 @@ def test_hands_far_apart_do_not_touch():
 
     x = rng.uniform(-0.1, 0.1, (2, 6, 3))
     r = floats(np.full(6, 0.01))
-    ball, e = poison(2, wp.vec4), poison((2, 6))
-    launch(k.hand_ball, 2, [r, vectors(x + 1.0)], [ball])
-    centre = ball.numpy()[:, None, :3]
-    assert np.all(np.linalg.norm(x + 1 - centre, axis=-1) + 0.01 <= ball.numpy()[:, 3:] + 1e-6)
+    low, high, e = poison(2, wp.vec3), poison(2, wp.vec3), poison((2, 6))
+    launch(k.hand_box, 2, [r, vectors(x + 1.0)], [low, high])
+    np.testing.assert_allclose(low.numpy(), (x + 1).min(1) - 0.01, atol=1e-6)
+    np.testing.assert_allclose(high.numpy(), (x + 1).max(1) + 0.01, atol=1e-6)
     out = vectors(np.zeros((2, 6, 3)))
-    launch(k.sphere_other, (2, 6), [r, r, 3.0, 0.005, vectors(x), vectors(x + 1.0), ball], [e, out])
+    args = [r, r, 3.0, 0.005, vectors(x), vectors(x + 1.0), low, high]
+    launch(k.sphere_other, (2, 6), args, [e, out])
     assert not np.any(e.numpy())
     assert not np.any(out.numpy())
+
+
+def test_remembering_clearances_changes_no_energy():
+    """A sphere that wanders past the surface costs the same with and without its memory."""
+    from bidexdata.synthesis import sphere_kernels as k
+
+    N, K = 4, 50
+    grid, radius = ball_grid(), floats(np.full(K, 0.01))
+    size = floats(np.full(N, SIZE))
+    x = rng.uniform(-0.25, 0.25, (N, K, 3))
+    memory = wp.zeros((N, K), dtype=wp.vec4)
+    touched = 0
+    for _ in range(60):
+        x += rng.normal(0, 0.004, x.shape)
+        results = []
+        for measured in (memory, wp.zeros((N, K), dtype=wp.vec4)):
+            e, out = poison((N, K)), poison((N, K), wp.vec3)
+            args = [radius, device_field(grid), size, 3.0, 0.001, vectors(x)]
+            launch(k.sphere_object, (N, K), args, [measured, e, out])
+            results.append((e.numpy().copy(), out.numpy().copy()))
+        assert np.array_equal(results[0][0], results[1][0])
+        assert np.array_equal(results[0][1], results[1][1])
+        touched += np.count_nonzero(results[0][0])
+    assert touched > 500
