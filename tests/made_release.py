@@ -203,7 +203,7 @@ def made_release(out: Path, object_ids=OBJECTS, *, runs=None, **options) -> Path
     rows = {
         k: options.pop(k) for k in ("sizes", "setting", "seed", "tested", "hands") if k in options
     }
-    options = {"name": "made", "version": "1.0.0", "cloud_points": 64, **options}
+    options = {"name": "made", "version": "1.0.0", "cloud_points": 1024, **options}
     options.setdefault("rows_of", lambda object_id: [made_rows(object_id, **rows)])
     write_release(
         out,

@@ -107,7 +107,7 @@ def _metrics(figures: Mapping[str, Any]) -> str:
 
 def _counts(counts: Mapping[str, int], label: str, unit: str) -> str:
     total = sum(counts.values())
-    rows = [(f"`{k}`", v, f"{100 * v / total:.1f} %") for k, v in counts.items()]
+    rows = [(f"`{k}`", v, _share(v / total if total else None)) for k, v in counts.items()]
     return _markdown((label, unit, "share"), rows) if rows else "None recorded."
 
 

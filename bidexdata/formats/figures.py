@@ -61,14 +61,14 @@ class Tally:
         touched, new = self._note_scenes(batch, run)
         for size in set(touched.values()):
             if grasps is not None:
-                self._kept[size][0] += int((selected & (batch["size_mm"] == size)).sum())
+                self._kept[size][0] += _number(selected & (batch["size_mm"] == size))
                 self._kept[size][1] += grasps * sum(1 for s in new if touched[s] == size)
             for test in self.tests:
                 if test in verdicts:
                     self._add_trials(batch, verdicts[test], test, size, touched, new, grasps)
         self._rows["stored"] += len(batch)
-        self._rows["selected"] += int(selected.sum())
-        self._rows["audit"] += int(audit.sum())
+        self._rows["selected"] += _number(selected)
+        self._rows["audit"] += _number(audit)
         for counts in batch.header.counts.values():
             self._attempts.update({k: int(v) for k, v in counts.items()})
         for test in self.tests:
@@ -142,18 +142,18 @@ class Tally:
         for obj in {_object_of(scene) for scene in scenes}:
             mine = in_size & (batch["object_id"] == obj)
             kept, drawn = mine & selected, mine & audit
-            self._count("selected", test, size, obj, (passed & kept).sum(), kept.sum())
+            self._count("selected", test, size, obj, _number(passed & kept), _number(kept))
             if grasps is not None:
                 wanted = grasps * sum(1 for s in scenes if s in new and _object_of(s) == obj)
-                wins = (passed & drawn).sum()
-                self._count("unselected", test, size, obj, wins, drawn.sum(), wanted)
+                wins = _number(passed & drawn)
+                self._count("unselected", test, size, obj, wins, _number(drawn), wanted)
 
     def _count(
         self, kind: str, test: str, size: int, obj: str, k: int, n: int, wanted: int = 0
     ) -> None:
         trials = self._trials[(kind, test, size)].setdefault(obj, [0, 0, 0])
         for i, value in enumerate((k, n, wanted)):
-            trials[i] += int(value)
+            trials[i] += value
 
     def _add_metrics(
         self, size_mm: np.ndarray, selected: np.ndarray, measured: Mapping[str, np.ndarray]
@@ -192,6 +192,10 @@ def _flags(batch: GraspBatch) -> tuple[np.ndarray, np.ndarray]:
     selected = batch["selected"] if "selected" in batch else np.ones(n, bool)
     audit = batch["audit"] if "audit" in batch else np.zeros(n, bool)
     return selected, audit
+
+
+def _number(mask: np.ndarray) -> int:
+    return int(np.count_nonzero(mask))
 
 
 def _object_of(scene_id: str) -> str:

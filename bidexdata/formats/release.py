@@ -105,6 +105,11 @@ class Release:
         """`selected` (default) and `audit`."""
         return tuple(self.manifest["configurations"])
 
+    @property
+    def split_names(self) -> tuple[str, ...]:
+        """Splits in reading order."""
+        return tuple(name for name, _ in self.manifest["splits"])
+
     @cached_property
     def objects(self) -> pa.Table:
         """The objects table."""
@@ -128,7 +133,7 @@ class Release:
     @cached_property
     def splits(self) -> dict[str, tuple[str, ...]]:
         """Objects of each split."""
-        found: dict[str, list[str]] = {name: [] for name in self.manifest["splits"]}
+        found: dict[str, list[str]] = {name: [] for name in self.split_names}
         names = self.objects.column("split").to_pylist()
         for object_id, split in zip(self.object_ids, names, strict=True):
             found[split].append(object_id)
@@ -167,13 +172,12 @@ class Release:
         """
         if configuration not in CONFIGURATIONS:
             raise UnknownName("configuration", configuration, CONFIGURATIONS)
-        splits = tuple(self.manifest["splits"])
-        if split is not None and split not in splits:
-            raise UnknownName("split", split, splits)
+        if split is not None and split not in self.split_names:
+            raise UnknownName("split", split, self.split_names)
         first, _, rest = table.partition("/")
         suffix = "" if configuration == "selected" else f"_{configuration}"
         folder = self.path / f"{first}{suffix}" / rest
-        chosen = (split,) if split is not None else splits
+        chosen = (split,) if split is not None else self.split_names
         return [p for name in chosen for p in sorted(folder.glob(f"{name}-*.parquet"))]
 
     def index(

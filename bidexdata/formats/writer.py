@@ -130,7 +130,7 @@ def write_release(
         "default_protocol": default_protocol,
         "tests": [list(key) for key in sorted(tests)],
         "configurations": list(CONFIGURATIONS),
-        "splits": {s: sum(1 for v in splits.values() if v == s) for s in SPLITS},
+        "splits": [[s, sum(1 for v in splits.values() if v == s)] for s in SPLITS],
         "split": {"by": "object", "seed": seed, "test_fraction": test_fraction},
         "cloud_points": cloud_points,
         "figures": figures,

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from bidexdata.loaders.collation import collate as collate
+from bidexdata.loaders.samplers import EpochSampler as EpochSampler
+
 if TYPE_CHECKING:
-    from bidexdata.loaders.collate import collate as collate
     from bidexdata.loaders.dataset import BiDexDataset as BiDexDataset
-    from bidexdata.loaders.samplers import EpochSampler as EpochSampler
-
-_PUBLIC = {
-    "BiDexDataset": "bidexdata.loaders.dataset",
-    "EpochSampler": "bidexdata.loaders.samplers",
-    "collate": "bidexdata.loaders.collate",
-}
-
-__all__ = list(_PUBLIC)
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _PUBLIC:
+    # Arrow is loaded with the data set, not with this package.
+    if name != "BiDexDataset":
         raise AttributeError(f"module 'bidexdata.loaders' has no attribute {name!r}")
-    return getattr(import_module(_PUBLIC[name]), name)
+    from bidexdata.loaders.dataset import BiDexDataset
+
+    return BiDexDataset

@@ -11,7 +11,7 @@ import logging
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from bidexdata.errors import BadConfig, MissingExtra, UnknownName
 from bidexdata.formats import hdf5
 from bidexdata.formats.release import Release
 from bidexdata.formats.tables import CONFIGURATIONS
-from bidexdata.loaders.collate import RowBatch
+from bidexdata.loaders.collation import RowBatch
 from bidexdata.loaders.filters import Where, columns_named, matching_rows, scalar_values
 from bidexdata.loaders.poses import points_in_world, poses_in_object_frame
 
@@ -49,7 +49,7 @@ class BiDexDataset:
         split: str = "train",
         where: Where = None,
         fields: Sequence[str] | None = None,
-        frame: Literal["object", "world"] = "object",
+        frame: str = "object",
         cloud: str | None = "cloud_solid",
         points: int = 1024,
         configuration: str = "selected",
@@ -84,6 +84,9 @@ class BiDexDataset:
         self.fields = tuple(fields) if fields is not None else DEFAULT_FIELDS
         self.cloud, self.points = cloud, points
         self._open()
+        stored = self.points if self._cloud is None else self._cloud.shape[1]
+        if self.points > stored:
+            raise BadConfig(f"points={self.points}, but the release stores {stored} per object")
         log.info("%r", self)
 
     def __len__(self) -> int:
@@ -137,8 +140,8 @@ class BiDexDataset:
         self._map()
 
     def _open(self) -> None:
-        self._map()
         scalars = self._scalar_columns()
+        self._map()
         known = {*self._values.columns, *scalars, *hdf5.INTEGER_LISTS}
         for name in self.fields:
             if name not in known:
@@ -169,10 +172,6 @@ class BiDexDataset:
         self._cloud = None
         if self.cloud is not None:
             self._cloud = self.release.cloud(self.cloud)
-            if self.points > self._cloud.shape[1]:
-                raise BadConfig(
-                    f"points={self.points}, but the release stores {self._cloud.shape[1]} per object"
-                )
 
     def _scalar_columns(self) -> list[str]:
         import pyarrow as pa

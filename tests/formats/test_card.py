@@ -1,0 +1,59 @@
+import re
+
+import pytest
+import yaml
+from made_release import OBJECTS, made_release
+
+from bidexdata.formats.card import rate_text
+from bidexdata.formats.release import Release
+from bidexdata.record.rates import rate_interval
+
+
+def front_matter(readme: str) -> dict:
+    return yaml.safe_load(readme.split("---\n")[1])
+
+
+def test_the_card_states_the_rates_of_the_rows(packed):
+    release = Release.open(packed)
+    batch = release.grasps()
+    expected = rate_interval(int(batch["success"].sum()), len(batch))
+    card = (packed / "DATASET_CARD.md").read_text()
+    assert f"| Selected SUC-F | {expected}, wilson |" in card
+    audit = release.grasps(configuration="audit")
+    unselected = rate_interval(int(audit["success"].sum()), len(audit))
+    assert f"| Unselected SUC-F | {unselected}, wilson |" in card
+    assert f"| {len(batch)} |" in card
+
+
+def test_nothing_is_left_to_fill_in(packed):
+    for name in ("DATASET_CARD.md", "README.md"):
+        text = (packed / name).read_text()
+        assert not re.search(r"\$\{|\bNone\b|\bnan\b|TODO", text)
+
+
+def test_hub_metadata_lists_splits_that_have_rows(packed, tmp_path):
+    data = front_matter((packed / "README.md").read_text())
+    configs = {c["config_name"]: c for c in data["configs"]}
+    assert configs["selected"]["default"] is True
+    for name in ("selected", "audit"):
+        for entry in configs[name]["data_files"]:
+            assert list(packed.glob(entry["path"])), entry
+    assert data["license"] == "other"  # two objects state none
+    one = made_release(tmp_path / "one", OBJECTS[:1])
+    data = front_matter((one / "README.md").read_text())
+    splits = [e["split"] for e in data["configs"][0]["data_files"]]
+    assert splits == ["train"]
+    assert data["license"] == "cc0-1.0"
+
+
+def test_hub_readers_see_fixed_size_rows(packed):
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.read_parquet(packed / "grasps" / "train-00000.parquet")
+    assert len(frame["joints"][0]) == 2 * 3 * 3
+    assert frame["suc_f"].notna().all()
+    assert frame["suc_l"].isna().all()
+
+
+def test_a_rate_without_trials_says_so():
+    assert rate_text(rate_interval(0, 0).to_dict()) == "not available"
+    assert rate_text(rate_interval(1, 2).to_dict()).startswith("50.0 % (")

@@ -1,0 +1,153 @@
+"""Rates by their definitions, counted by hand."""
+
+import numpy as np
+import pytest
+from made_release import made_hands
+
+from bidexdata.formats.figures import Tally
+from bidexdata.record import GraspBatch, Header, Status
+
+HEADER_HANDS = tuple(h.header() for h in made_hands())
+
+
+def batch(rows, counts=None):
+    """Rows of (scene, selected, audit, status)."""
+    scenes = [r[0] for r in rows]
+    return GraspBatch(
+        Header(HEADER_HANDS, counts=counts or {}),
+        {
+            "grasp_id": np.array([str(i) for i in range(len(rows))]),
+            "scene_id": np.array(scenes, dtype=np.str_),
+            "object_id": np.array([s.split("/")[0] for s in scenes], dtype=np.str_),
+            "size_mm": np.array([s.split("/")[1] for s in scenes], np.int32),
+            "selected": np.array([r[1] for r in rows], bool),
+            "audit": np.array([r[2] for r in rows], bool),
+            "synth_status": np.array([r[3] for r in rows], np.int8),
+        },
+    )
+
+
+def verdicts(success, pd=None):
+    n = len(success)
+    return {
+        "f": {
+            "success": np.array(success, bool),
+            "verdict_status": np.where(success, Status.OK, Status.SLIP).astype(np.int8),
+            **{m: np.array(pd or [0.001] * n, np.float32) for m in ("pd", "spd", "cdc")},
+        }
+    }
+
+
+A, B = "box-1/300/float", "box-1/500/float"
+
+
+def test_rates_and_kept_share_by_hand():
+    rows = [
+        (A, True, False, Status.OK),
+        (A, True, True, Status.OK),
+        (A, False, True, Status.NO_PLACEMENT),
+        (B, True, True, Status.OK),
+    ]
+    tally = Tally()
+    counts = {A: {"ok": 5, "no_placement": 3}, B: {"ok": 1, "no_placement": 7}}
+    tally.add(batch(rows, counts), verdicts([True, False, False, True]), run="r", grasps=2)
+    figures = tally.figures()
+    # Selected: rows 0, 1, 3, of which 0 and 3 pass. Unselected: 1 success of N x scenes = 4; scene
+    # B filled one of its two audit rows, the other is a failure. Kept: 3 of 4.
+    assert (figures["tests"]["f"]["selected"]["k"], figures["tests"]["f"]["selected"]["n"]) == (
+        2,
+        3,
+    )
+    assert (figures["tests"]["f"]["unselected"]["k"], figures["tests"]["f"]["unselected"]["n"]) == (
+        1,
+        4,
+    )
+    assert figures["kept"] == pytest.approx(3 / 4)
+    assert figures["suc_f"] == pytest.approx(2 / 3)
+    assert figures["by_status"] == {"no_placement": 10, "ok": 6}
+    assert figures["by_size"]["300"]["kept"] == 1
+    assert figures["by_size"]["500"]["kept"] == 0.5
+    assert figures["by_size"]["500"]["unselected_f"]["n"] == 2
+    assert (figures["n"], figures["selected_rows"], figures["audit_rows"]) == (4, 3, 3)
+    assert (figures["objects"], figures["scenes"]) == (1, 2)
+
+
+def test_a_scene_without_rows_counts_n_failures():
+    tally = Tally()
+    counts = {A: {"ok": 1}, B: {"no_region_pair": 8}}
+    tally.add(batch([(A, True, True, Status.OK)], counts), verdicts([True]), run="r", grasps=1)
+    figures = tally.figures()
+    assert (figures["tests"]["f"]["unselected"]["k"], figures["tests"]["f"]["unselected"]["n"]) == (
+        1,
+        2,
+    )
+    assert figures["by_size"]["500"]["unselected_f"] == {
+        "k": 0, "n": 1, "rate": 0.0, "low": 0.0,
+        "high": figures["by_size"]["500"]["unselected_f"]["high"], "method": "wilson",
+    }  # fmt: skip
+
+
+def test_success_of_a_failed_attempt_does_not_count():
+    tally = Tally()
+    tally.add(batch([(A, False, True, Status.NOT_FINITE)]), verdicts([True]), run="r", grasps=1)
+    assert tally.figures()["tests"]["f"]["unselected"]["k"] == 0
+
+
+def test_imported_rows_have_no_unselected_rate():
+    tally = Tally()
+    tally.add(batch([(A, True, False, Status.OK)]), verdicts([True]), run="r", grasps=None)
+    figures = tally.figures()
+    assert figures["tests"]["f"]["unselected"]["n"] == 0
+    assert figures["tests"]["f"]["unselected"]["rate"] is None
+    assert figures["kept"] is None
+
+
+def test_untested_rows_are_in_no_rate():
+    tally = Tally()
+    tally.add(batch([(A, True, True, Status.OK)]), {}, run="r", grasps=1)
+    figures = tally.figures()
+    assert figures["tests"]["f"]["selected"]["n"] == 0
+    assert figures["tests"]["f"]["unselected"]["n"] == 0
+    assert figures["suc_f"] is None
+    assert figures["pd"] is None
+
+
+def test_a_scene_grown_in_two_rounds_counts_its_target_once():
+    one = batch([(A, True, True, Status.OK)], {A: {"ok": 4}})
+    tally = Tally()
+    tally.add(one, verdicts([True]), run="r", grasps=2)
+    tally.add(one, verdicts([True]), run="r", grasps=2)
+    assert (tally.figures()["tests"]["f"]["unselected"]["n"]) == 2
+    assert tally.figures()["scenes"] == 1
+    other_run = Tally()
+    other_run.add(one, verdicts([True]), run="r", grasps=2)
+    other_run.add(one, verdicts([True]), run="s", grasps=2)
+    assert (other_run.figures()["tests"]["f"]["unselected"]["n"]) == 4
+
+
+def test_metrics_are_means_over_selected_rows_that_were_measured():
+    rows = [(A, True, False, Status.OK), (A, True, False, Status.OK), (A, False, True, Status.OK)]
+    tally = Tally()
+    tally.add(batch(rows), verdicts([True] * 3, [0.002, np.nan, 0.5]), run="r", grasps=2)
+    assert tally.figures()["pd"] == pytest.approx(0.002)
+    assert tally.figures()["by_size"]["300"]["cdc"] == pytest.approx(0.002)
+
+
+def test_parts_add_up_whatever_the_order():
+    rows_a = batch([(A, True, True, Status.OK), (A, False, True, Status.OK)], {A: {"ok": 2}})
+    rows_b = batch([(B, True, True, Status.OK)], {B: {"ok": 2}})
+    both = batch(
+        [(A, True, True, Status.OK), (A, False, True, Status.OK), (B, True, True, Status.OK)],
+        {A: {"ok": 2}, B: {"ok": 2}},
+    )
+    results = []
+    for parts in (
+        [(rows_a, [True, False]), (rows_b, [True])],
+        [(rows_b, [True]), (rows_a, [True, False])],
+        [(both, [True, False, True])],
+    ):
+        tally = Tally()
+        for part, success in parts:
+            tally.add(part, verdicts(success), run="r", grasps=2)
+        results.append(tally.figures())
+    assert results[0] == results[1] == results[2]

@@ -1,0 +1,339 @@
+"""read(write(x)) = x, the same bytes twice, and what a writer must refuse."""
+
+import filecmp
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, Phase, example, given, settings
+from hypothesis import strategies as st
+from made_release import (
+    OBJECTS,
+    PAPER_F,
+    PER_SCENE,
+    SIZES,
+    made_hand,
+    made_hands,
+    made_object,
+    made_release,
+    made_rows,
+)
+
+from bidexdata.errors import Contradiction, NotUsable, PathNotFound, UnknownName
+from bidexdata.formats import hdf5
+from bidexdata.formats.manifest import write_manifest
+from bidexdata.formats.object_table import shape_hash
+from bidexdata.formats.release import Release, ReleaseRows, RunInfo
+from bidexdata.formats.tables import CONTACT_COLUMNS, GRASP_COLUMNS, SORTED_BY, VERDICT_COLUMNS
+from bidexdata.record import FIELDS, GraspBatch, Header, Status
+from bidexdata.record.batch import BadRecord
+
+OBJECT = OBJECTS[0]
+
+
+def tree_bytes(root: Path) -> dict[str, bytes]:
+    return {p.relative_to(root).as_posix(): p.read_bytes() for p in root.rglob("*") if p.is_file()}
+
+
+def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
+    if a.dtype.kind == "U":
+        return a.tolist() == b.tolist()
+    return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+
+
+def arbitrary_rows(object_id: str, seed: int, n: int, hands) -> ReleaseRows:
+    """Rows whose numbers are random bits: NaN payloads, infinities and subnormals included."""
+    rng = np.random.default_rng(seed)
+    header = Header(tuple(h.header() for h in hands), counts={f"{object_id}/300/float": {"ok": n}})
+
+    def column(name):
+        field, shape = FIELDS[name], (n, *header.shape(FIELDS[name]))
+        if field.dtype == "string":
+            return np.array(
+                ["".join(map(chr, rng.integers(0x20, 0x2FA0, 4))) for _ in range(n)], np.str_
+            )
+        if field.dtype == "bool":
+            return rng.random(shape) < 0.5
+        size = np.dtype(field.dtype).itemsize
+        return np.frombuffer(rng.bytes(int(np.prod(shape)) * size), field.dtype).reshape(shape)
+
+    columns = {name: column(name) for name in (*GRASP_COLUMNS, *CONTACT_COLUMNS)}
+    columns["grasp_id"] = np.array([f"{i:016x}" for i in rng.permutation(n)], np.str_)
+    columns["object_id"] = np.full(n, object_id)
+    columns["size_mm"] = np.full(n, 300, np.int32)
+    columns["scene_id"] = np.full(n, f"{object_id}/300/float")
+    columns["synth_status"] = np.full(n, Status.OK, np.int8)
+    verdicts = {name: column(name) for name in VERDICT_COLUMNS}
+    verdicts["verdict_status"] = rng.choice([Status.OK, Status.SLIP], n).astype(np.int8)
+    return ReleaseRows("run", GraspBatch(header, columns), {PAPER_F: verdicts})
+
+
+# One example packs a whole release: shrinking would pack hundreds.
+@settings(
+    max_examples=6,
+    deadline=None,
+    phases=[Phase.explicit, Phase.generate],
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@example(seed=0, n=0, one_hand=False)
+@given(seed=st.integers(0, 2**32), n=st.integers(0, 5), one_hand=st.booleans())
+def test_every_field_comes_back_bit_for_bit(tmp_path_factory, seed, n, one_hand):
+    object_id = "größe-0badf00d"
+    hands = (made_hand("right"),) if one_hand else made_hands()
+    rows = arbitrary_rows(object_id, seed, n, hands)
+    out = made_release(
+        tmp_path_factory.mktemp("bits") / "release",
+        (object_id,),
+        rows_of=lambda _: [rows],
+        hands=hands,
+    )
+    release = Release.open(out)
+    assert release.hands == tuple(h.header() for h in hands)
+    for configuration in release.configurations:
+        read = release.grasps(configuration=configuration)
+        mine = np.flatnonzero(rows.batch[configuration])
+        mine = mine[np.argsort(rows.batch["grasp_id"][mine])]
+        expected = {**rows.batch.columns, **rows.verdicts[PAPER_F]}
+        assert set(read.columns) == set(expected)
+        for name, value in expected.items():
+            assert same_bits(read[name], value[mine]), name
+        mapped = hdf5.map_values(out, configuration, "train")
+        for name, (place, shape) in mapped.columns.items():
+            values = np.ascontiguousarray(mapped.values[:, place]).reshape(-1, *shape)
+            assert same_bits(values, expected[name][mine]), name
+
+
+def test_two_packs_give_the_same_bytes_whatever_the_order(packed, tmp_path):
+    def shuffled(object_id):
+        rows = made_rows(object_id)
+        order = np.random.default_rng(1).permutation(len(rows.batch))
+        verdicts = {k: {c: v[order] for c, v in d.items()} for k, d in rows.verdicts.items()}
+        return [ReleaseRows(rows.run, rows.batch.select(order), verdicts)]
+
+    again = made_release(tmp_path / "again", OBJECTS[::-1], rows_of=shuffled)
+    assert tree_bytes(again) == tree_bytes(packed)
+
+
+def test_rows_are_sorted_and_flagged(packed):
+    release = Release.open(packed)
+    for configuration in ("selected", "audit"):
+        for split in release.splits:
+            batch = release.grasps(split=split, configuration=configuration)
+            keys = list(zip(*(batch[c].tolist() for c in SORTED_BY), strict=True))
+            assert keys == sorted(set(keys))
+            assert batch[configuration].all()
+            assert set(batch["object_id"]) == set(release.splits[split])
+
+
+def test_grasps_are_found_by_object_size_and_configuration(packed):
+    release = Release.open(packed)
+    for object_id in OBJECTS:
+        for mm in SIZES:
+            batch = release.grasps(object_id, mm)
+            assert len(batch) == PER_SCENE
+            assert set(batch["object_id"]) == {object_id}
+            assert set(batch["size_mm"]) == {mm}
+    assert len(release.grasps()) == PER_SCENE * len(OBJECTS) * len(SIZES)
+    assert len(release.grasps(size_mm=123)) == 0
+    assert len(release.grasps(OBJECT, configuration="audit")) == PER_SCENE * len(SIZES)
+
+
+def test_what_is_not_there_is_named(packed, tmp_path):
+    release = Release.open(packed)
+    for call, said in [
+        (lambda: release.grasps("bix-aaaaaaaa"), "did you mean 'box-aaaaaaaa'"),
+        (lambda: release.grasps(split="val"), "train, test"),
+        (lambda: release.grasps(configuration="all"), "selected, audit"),
+        (lambda: release.load_solid("nothing"), "no object"),
+        (lambda: release.cloud("cloud_hull"), "cloud_solid"),
+        (lambda: release.index(columns=["joints"]), "no scalar column"),
+    ]:
+        with pytest.raises(UnknownName, match=said):
+            call()
+    with pytest.raises(PathNotFound, match="bidexdata pack"):
+        Release.open(tmp_path)
+
+
+def test_solids_and_clouds_come_back(packed):
+    release = Release.open(packed)
+    for i, object_id in enumerate(release.object_ids):
+        made = made_object(object_id)
+        solid = release.load_solid(object_id)
+        assert shape_hash(solid) == shape_hash(made)
+        assert solid.volume == made.volume
+        assert solid.provenance["licence"] == made.provenance["licence"]
+        cloud = release.cloud("cloud_solid", object_id)
+        np.testing.assert_array_equal(cloud, release.cloud()[i])
+        assert np.abs(cloud).max() <= np.abs(made.mesh.vertices).max() + 1e-6
+    row = release.objects.to_pylist()[0]
+    assert (row["licence"], row["category"], row["cloud_index"]) == ("CC0-1.0", "box", 0)
+
+
+def test_null_means_not_tested(tmp_path):
+    rows = {o: made_rows(o, tested=o == OBJECT) for o in OBJECTS}
+    out = made_release(tmp_path / "r", rows_of=lambda o: [rows[o]])
+    release = Release.open(out)
+    index = release.index(columns=["object_id", "suc_f", "suc_l", "pd"]).to_pylist()
+    for row in index:
+        assert (row["suc_f"] is None) == (row["object_id"] != OBJECT)
+        assert row["suc_l"] is None
+        assert np.isnan(row["pd"]) == (row["object_id"] != OBJECT)
+    untested = release.grasps(OBJECTS[1])
+    assert (untested["verdict_status"] == Status.NOT_RUN).all()
+    assert not untested["success"].any()
+    # Rates count the tested object only.
+    assert release.figures["tests"]["f"]["selected"]["n"] == PER_SCENE * len(SIZES)
+
+
+def test_runs_are_merged_and_kept_apart_in_the_table(tmp_path):
+    runs = [RunInfo("a", "1" * 16, PER_SCENE, seed=3), RunInfo("b", "2" * 16, None, preset="x")]
+    out = made_release(
+        tmp_path / "r",
+        (OBJECT,),
+        runs=runs,
+        rows_of=lambda o: [made_rows(o, run="a", seed=1), made_rows(o, run="b", seed=2)],
+    )
+    release = Release.open(out)
+    assert release.runs.to_pylist()[1]["grasps"] == -1
+    names = release.index(columns=["run"]).column("run").to_pylist()
+    assert sorted(set(names)) == ["a", "b"]
+    assert names.count("a") == names.count("b") == PER_SCENE * len(SIZES)
+    scene = release.scenes.to_pylist()[0]
+    assert scene["runs"] == 2
+    assert scene["grasps_wanted"] == PER_SCENE
+    assert json.loads(scene["attempts"])["ok"] == 6 * PER_SCENE
+    # The imported run has no unselected rate: only run a counts.
+    assert release.figures["tests"]["f"]["unselected"]["n"] == PER_SCENE * len(SIZES)
+
+
+def test_the_same_grasp_twice_is_refused_by_name(tmp_path):
+    rows = made_rows(OBJECT)
+    other = replace(rows, run="copy")
+    runs = [RunInfo(n, "f" * 16, 4) for n in ("run", "copy")]
+    with pytest.raises(
+        BadRecord, match=r"grasp [0-9a-f]{16} of box-aaaaaaaa is there twice \(in copy, run\)"
+    ):
+        made_release(tmp_path / "r", (OBJECT,), runs=runs, rows_of=lambda _: [rows, other])
+
+
+def test_rows_of_other_hands_objects_or_runs_are_refused(tmp_path):
+    other_hand = replace(made_hand("left"), spec_hash="0" * 64)
+    for n, (options, said, error) in enumerate(
+        [
+            (
+                {"rows_of": lambda o: [made_rows(o, hands=(other_hand, made_hand("right")))]},
+                "hands",
+                BadRecord,
+            ),
+            ({"rows_of": lambda _: [made_rows(OBJECTS[1])]}, "were given as rows of", BadRecord),
+            ({"rows_of": lambda o: [made_rows(o, run="stranger")]}, "'stranger'", NotUsable),
+        ]
+    ):
+        with pytest.raises(error, match=said):
+            made_release(tmp_path / str(n), (OBJECT,), **options)
+        assert not (tmp_path / str(n)).exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"version": "1.0"}, "X.Y.Z"),
+        ({"version": "01.0.0"}, "X.Y.Z"),
+        ({"name": "a b"}, "letters"),
+        ({"name": "../x"}, "letters"),
+        ({"form": "hdf5"}, "derived from Parquet"),
+    ],
+)
+def test_impossible_names_are_refused(tmp_path, options, said):
+    with pytest.raises(NotUsable, match=said):
+        made_release(tmp_path / "r", (OBJECT,), **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_folder_is_not_touched(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(NotUsable, match="exists already"):
+        made_release(tmp_path)
+    assert tree_bytes(tmp_path) == {"notes.txt": b"mine"}
+
+
+def test_a_killed_pack_leaves_no_release_and_the_next_one_completes(packed, tmp_path):
+    code = (
+        "import os, signal, sys; from pathlib import Path; from made_release import *\n"
+        "die = lambda object_id: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "made_release(Path(sys.argv[1]), on_object=die)\n"
+    )
+    out = tmp_path / "release"
+    tests = Path(__file__).resolve().parents[1]
+    env = {**os.environ, "PYTHONPATH": f"{tests}:{tests.parent}"}
+    done = subprocess.run([sys.executable, "-c", code, str(out)], env=env, check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert not out.exists()
+    assert list(tmp_path.iterdir())  # it had begun
+    made_release(out)
+    assert [p.name for p in tmp_path.iterdir()] == ["release"]
+    assert filecmp.cmp(out / "manifest.json", packed / "manifest.json", shallow=False)
+
+
+def rewritten(root: Path, **changes) -> None:
+    """Change the manifest and seal it again: a consistent release of another kind."""
+    head = json.loads((root / "manifest.json").read_text())
+    head.pop("files")
+    header = json.loads(head["header"])
+    header.update(changes)
+    write_manifest(root, {**head, "header": json.dumps(header)})
+
+
+def test_a_newer_major_schema_is_refused_with_the_way_out(copied):
+    rewritten(copied, schema_version="2.0")
+    with pytest.raises(Contradiction, match=r"schema 2\.0.*upgrade bidexdata"):
+        Release.open(copied)
+
+
+def test_a_newer_minor_schema_is_read(copied):
+    rewritten(copied, schema_version="1.9", something_new=3)
+    assert len(Release.open(copied).grasps()) == PER_SCENE * len(OBJECTS) * len(SIZES)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"format": "other", "files": {}}'])
+def test_a_manifest_of_something_else_is_a_contradiction(copied, content):
+    import hashlib
+
+    (copied / "manifest.json").write_bytes(content)
+    with pytest.raises(Contradiction, match="does not match"):
+        Release.open(copied)
+    line = f"{hashlib.sha256(content).hexdigest()}  manifest.json\n"
+    (copied / "manifest.sha256").write_text(line)
+    with pytest.raises(Contradiction, match="not a manifest"):
+        Release.open(copied)
+
+
+def test_the_training_form_can_be_left_out(tmp_path):
+    out = made_release(tmp_path / "r", (OBJECT,), form="parquet")
+    assert not (out / "grasps.h5").exists()
+    assert hdf5.map_values(out, "selected", "train") is None
+    read = hdf5.read_values(out, "selected", "train")
+    both = made_release(tmp_path / "b", (OBJECT,))
+    mapped = hdf5.map_values(both, "selected", "train")
+    assert read.columns == mapped.columns
+    assert read.values.tobytes() == np.asarray(mapped.values).tobytes()
+
+
+def test_integers_of_the_training_form_are_those_of_the_tables(packed):
+    import h5py
+
+    release = Release.open(packed)
+    batch = release.grasps(split="train")
+    with h5py.File(packed / "grasps.h5") as file:
+        group = file["selected/train"]
+        for name in ("size_mm", "contact_index", "region_id", "seed", "selected", "synth_status"):
+            np.testing.assert_array_equal(group[name][:], batch[name])
+        np.testing.assert_array_equal(group["suc_f"][:] == 1, batch["success"])
+        assert set(group["suc_l"][:]) == {-1}
+        assert group["size_mm"].attrs["unit"] == "mm"

@@ -1,0 +1,285 @@
+"""Every damage is found: by a hash where bytes changed, by a law where a sealed release lies."""
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from made_release import OBJECTS, PER_SCENE, SIZES, made_release, made_rows
+
+from bidexdata.errors import Contradiction, PathNotFound
+from bidexdata.formats import parquet
+from bidexdata.formats.hdf5 import write_training_form
+from bidexdata.formats.manifest import damage, read_manifest, write_manifest
+from bidexdata.formats.release import Release, ReleaseRows
+from bidexdata.formats.splits import SPLITS
+from bidexdata.formats.verify import verify_release
+
+
+def failed(report) -> dict[str, str]:
+    return {c.name: c.detail for c in report.checks if not c.ok}
+
+
+def test_a_good_release_keeps_every_law(packed):
+    report = verify_release(packed, full=True)
+    assert report.ok, failed(report)
+    report.raise_if_bad()
+    names = [c.name for c in report.checks]
+    assert names[0] == "files"
+    assert "contacts" in names
+    assert report.to_dict()["ok"] is True
+    assert [c.name for c in verify_release(packed).checks] == names[: names.index("shapes")]
+
+
+def test_a_flipped_bit_is_found_in_every_file(copied):
+    rng = np.random.default_rng(0)
+    for path in sorted(p for p in copied.rglob("*") if p.is_file()):
+        data = path.read_bytes()
+        for at in rng.integers(0, len(data), 2):
+            flipped = bytearray(data)
+            flipped[at] ^= 1 << rng.integers(8)
+            path.write_bytes(flipped)
+            report = verify_release(copied)
+            assert not report.ok, (path, at)
+            with pytest.raises(Contradiction) as caught:
+                report.raise_if_bad()
+            assert caught.value.exit_code == 4
+        path.write_bytes(data)
+    assert verify_release(copied).ok
+
+
+def test_every_byte_of_the_manifest_hash_counts(copied):
+    line = copied / "manifest.sha256"
+    data = line.read_bytes()
+    for at in range(len(data)):
+        flipped = bytearray(data)
+        flipped[at] ^= 1
+        line.write_bytes(flipped)
+        assert failed(verify_release(copied))["manifest"]
+
+
+@pytest.mark.parametrize(
+    ("harm", "said"),
+    [
+        (lambda r: (r / "notes.txt").write_text("x"), "notes.txt is not in the manifest"),
+        (lambda r: (r / "objects" / "new").mkdir(), "objects/new/ is not in the manifest"),
+        (lambda r: (r / "grasps.h5").unlink(), "grasps.h5 is missing"),
+        (lambda r: os.symlink("runs.parquet", r / "x"), "x is not in the manifest"),
+        (lambda r: os.truncate(r / "scenes.parquet", 100), "scenes.parquet has 100 bytes"),
+        (lambda r: _swap_for_link(r / "runs.parquet"), "runs.parquet is not a plain file"),
+    ],
+)
+def test_missing_extra_and_replaced_files_are_named(copied, harm, said):
+    harm(copied)
+    assert said in failed(verify_release(copied))["files"]
+
+
+def _swap_for_link(path: Path) -> None:
+    kept = path.parent.parent / "elsewhere"
+    shutil.move(path, kept)
+    path.symlink_to(kept)
+
+
+def test_nothing_there_is_a_path_error(tmp_path):
+    with pytest.raises(PathNotFound):
+        verify_release(tmp_path / "nothing")
+
+
+def reseal(root: Path, change: Callable[[dict], None] | None = None) -> None:
+    head = json.loads((root / "manifest.json").read_text())
+    head.pop("files")
+    if change:
+        change(head)
+    write_manifest(root, head)
+    assert damage(root, read_manifest(root)) == []
+
+
+def rewrite(
+    root: Path, table: str, change: Callable[[dict], None], *, split: str = "train"
+) -> None:
+    """Change a table's columns (as lists), write it again and seal the release."""
+    path = root / table / f"{split}-00000.parquet" if split else root / f"{table}.parquet"
+    old = parquet.read_table(path)
+    columns = {n: old.column(n).to_pylist() for n in old.column_names}
+    change(columns)
+    arrays = [pa.array(columns[f.name], f.type) for f in old.schema]
+    parquet.write_table(path, pa.Table.from_arrays(arrays, schema=old.schema))
+    reseal(root)
+
+
+def put(name, row, value, *place):
+    def change(columns):
+        target = columns[name]
+        at = row
+        for key in place:
+            target, at = target[at], key
+        target[at] = value
+
+    return change
+
+
+def swap_rows(columns):
+    for values in columns.values():
+        values[0], values[1] = values[1], values[0]
+
+
+@pytest.mark.parametrize(
+    ("table", "change", "law", "said"),
+    [
+        ("grasps", put("hand_quat_wxyz", 0, 0.5, 0), "rows", "hand_quat_wxyz is not unit"),
+        ("grasps", put("hand_pos", 1, np.nan, 3), "rows", "hand_pos is not finite"),
+        ("grasps", put("object_pos", 1, np.nan, 0), "rows", "object_pos is not finite"),
+        ("grasps", put("joints", 0, np.nan, 0), "rows", "joints are not finite"),
+        ("grasps", put("joints", 0, 0.0, 17), "rows", "past the hand's own"),
+        ("grasps", put("size_mm", 0, -5), "rows", "not positive"),
+        ("grasps", put("selected", 2, False), "rows", "is not selected"),
+        ("grasps", put("object_id", 0, "stranger-dddddddd"), "splits", "holds rows of"),
+        ("grasps", put("joints", 0, 3.0, 3), "joint limits", "outside the limits"),
+        ("grasps", put("joints", 0, 0.9, 3), "contacts", "contact points are not where"),
+        ("contacts", put("contact_point", 0, 0.3, 0), "contacts", "contact points are not where"),
+        ("contacts", put("contact_index", 0, 9, 0), "rows", "names no contact point"),
+        ("contacts", put("grasp_id", 0, "0" * 16), "rows", "rows are not those of"),
+        ("verdicts/paper-1-f", put("grasp_id", 0, "0" * 16), "rows", "rows are not those of"),
+    ],
+)
+def test_a_sealed_lie_breaks_its_law(copied, table, change, law, said):
+    rewrite(copied, table, change)
+    found = failed(verify_release(copied, full=True))
+    assert said in found[law], found
+
+
+def test_rows_out_of_order_are_found(copied):
+    for table in ("grasps", "contacts", "verdicts/paper-1-f"):
+        rewrite(copied, table, swap_rows)
+    assert "out of order" in failed(verify_release(copied))["rows"]
+
+
+def test_negative_w_is_found(copied):
+    def change(columns):
+        columns["hand_quat_wxyz"][0] = [-v for v in columns["hand_quat_wxyz"][0]]
+
+    rewrite(copied, "grasps", change)
+    assert "w < 0" in failed(verify_release(copied))["rows"]
+
+
+def test_a_success_that_is_none_is_found(copied):
+    def change(columns):
+        columns["success"] = [True] * len(columns["success"])
+
+    rewrite(copied, "verdicts_audit/paper-1-f", change)
+    assert "without a grasp is marked successful" in failed(verify_release(copied))["rows"]
+
+
+def test_rates_that_are_not_those_of_the_rows_are_found(copied):
+    def change(columns):
+        columns["suc_f"] = [not v for v in columns["suc_f"]]
+
+    rewrite(copied, "grasps", change)
+    assert "rows pass test f" in failed(verify_release(copied))["rates"]
+
+
+def test_missing_rows_are_found(copied):
+    def change(columns):
+        for values in columns.values():
+            values.pop()
+
+    rewrite(copied, "contacts", change)
+    assert "other rows than grasps" in failed(verify_release(copied))["tables"]
+    for table in ("grasps", "verdicts/paper-1-f"):
+        rewrite(copied, table, change)
+    assert "rows in files" in failed(verify_release(copied))["tables"]
+
+
+def test_a_shape_in_two_splits_is_found(copied):
+    def change(columns):
+        columns["shape_sha256"] = ["same"] * len(columns["shape_sha256"])
+
+    rewrite(copied, "objects", change, split="")
+    assert "in two splits" in failed(verify_release(copied, full=True))["splits"]
+
+
+def test_another_shape_is_found(copied):
+    rewrite(copied, "objects", put("shape_sha256", 0, "0" * 64), split="")
+    found = failed(verify_release(copied, full=True))
+    assert "does not have its stated hash" in found["shapes"]
+    assert verify_release(copied).ok  # only recomputing can know
+
+
+def test_another_hand_is_found(copied):
+    path = copied / "hands" / "made" / "left" / "tree.json"
+    tree = json.loads(path.read_text())
+    path.write_text(json.dumps({**tree, "joint_names": tree["joint_names"][::-1]}))
+    reseal(copied)
+    assert "another hand" in failed(verify_release(copied))["hands"]
+
+
+def test_a_changed_column_type_is_found(copied):
+    path = copied / "grasps" / "train-00000.parquet"
+    table = parquet.read_table(path)
+    at = table.schema.get_field_index("steps")
+    wide = table.set_column(
+        at, pa.field("steps", pa.int64()), table.column("steps").cast(pa.int64())
+    )
+    parquet.write_table(path, wide)
+    reseal(copied)
+    assert "steps is int64, not int32" in failed(verify_release(copied))["tables"]
+
+
+def test_turned_objects_keep_their_contacts(tmp_path):
+    out = made_release(tmp_path / "r", setting="tabletop")
+    report = verify_release(out, full=True)
+    assert report.ok, failed(report)
+
+
+def test_verdicts_are_judged_again_by_the_callback(packed):
+    calls = []
+
+    def truth(release, batch, solid):
+        assert solid.object_id == batch["object_id"][0]
+        calls.append(len(batch))
+        return batch["success"].copy()
+
+    report = verify_release(packed, full=True, resimulate=truth, sample=10, seed=3)
+    assert report.ok
+    assert sum(calls) == 10
+    assert len(calls) > 1
+
+    def liar(release, batch, solid):
+        return ~batch["success"]
+
+    found = failed(verify_release(packed, full=True, resimulate=liar, sample=2))
+    assert "when simulated again" in found["verdicts"]
+
+
+def test_untested_rows_are_not_judged_again(tmp_path):
+    out = made_release(tmp_path / "r", tested=False)
+
+    def never(release, batch, solid):
+        raise AssertionError("there is nothing to judge")
+
+    assert verify_release(out, full=True, resimulate=never).ok
+
+
+def test_duplicates_across_scenes_are_found(tmp_path):
+    # A writer that does not look would let the same id into two scenes of one object.
+    rows = made_rows(OBJECTS[0])
+    out = made_release(tmp_path / "r", (OBJECTS[0],), rows_of=lambda _: [rows])
+    release = Release.open(out)
+    twin = release.grasps(OBJECTS[0], SIZES[0])["grasp_id"][0]
+    at = PER_SCENE  # first row of the second scene
+    for table in ("grasps", "contacts", "verdicts/paper-1-f"):
+        rewrite(out, table, put("grasp_id", at, str(twin)))
+    details = failed(verify_release(out))["rows"]
+    assert "is there twice" in details or "out of order" in details
+    assert isinstance(rows, ReleaseRows)
+
+
+def test_the_training_form_is_rebuilt_from_the_tables(copied):
+    before = (copied / "grasps.h5").read_bytes()
+    (copied / "grasps.h5").unlink()
+    write_training_form(copied, SPLITS)
+    assert (copied / "grasps.h5").read_bytes() == before

@@ -1,0 +1,215 @@
+import logging
+import pickle
+
+import numpy as np
+import pytest
+import torch
+from made_release import OBJECTS, PER_SCENE, SIZES, made_release
+from torch.utils.data import DataLoader
+
+from bidexdata import frames
+from bidexdata.errors import BadConfig, MissingExtra, PathNotFound, UnknownName
+from bidexdata.formats.release import Release
+from bidexdata.loaders import BiDexDataset, EpochSampler, collate
+
+EVERYTHING = ("hand_pos", "hand_quat_wxyz", "joints", "size_mm", "suc_f", "pd", "grasp_id", "contact_point", "contact_index", "attempt")  # fmt: skip
+FLOAT32 = 2e-6  # metres and quaternion parts of order 1, converted in float64 and stored in float32
+
+
+def loaded(data, **options):
+    return list(DataLoader(data, batch_size=5, collate_fn=collate, **options))
+
+
+def same_batches(a, b) -> bool:
+    return len(a) == len(b) and all(
+        x.keys() == y.keys()
+        and all(
+            torch.equal(torch.nan_to_num(x[k]), torch.nan_to_num(y[k]))
+            if isinstance(x[k], torch.Tensor)
+            else x[k] == y[k]
+            for k in x
+        )
+        for x, y in zip(a, b, strict=True)
+    )
+
+
+def test_items_are_the_rows_of_the_release(floating):
+    data = BiDexDataset(floating, fields=EVERYTHING, frame="world", cloud=None)
+    batch = Release.open(floating).grasps(split="train")
+    assert len(data) == len(batch)
+    whole = data.__getitems__(range(len(data))).stacked
+    for name in EVERYTHING:
+        column = batch["success"] if name == "suc_f" else batch[name]
+        found = whole[name] if name == "grasp_id" else whole[name].numpy()
+        np.testing.assert_array_equal(np.asarray(found), column)
+    owners = [data.object_ids[i] for i in whole["object_index"]]
+    assert owners == batch["object_id"].tolist()
+    one = data[3]
+    assert one["joints"].shape == (2, 3, 3)
+    assert one["grasp_id"] == batch["grasp_id"][3]
+    assert torch.equal(one["hand_pos"], whole["hand_pos"][3])
+
+
+def test_shapes_and_names_describe_an_item(floating):
+    data = BiDexDataset(floating, points=32)
+    item = data[0]
+    assert set(item) == {
+        "hand_pos",
+        "hand_quat_wxyz",
+        "joints",
+        "size_mm",
+        "object_index",
+        "cloud_solid",
+    }
+    assert item["cloud_solid"].shape == (32, 3)
+    assert item["hand_pos"].dtype == torch.float32
+    assert data.sides == ("left", "right")
+    assert data.joint_names == (("lh_J0", "lh_J1", "lh_J2"), ("rh_J0", "rh_J1"))
+    assert torch.isnan(item["joints"][1, :, 2]).all()  # the right hand has two joints
+
+
+def test_clouds_have_the_size_of_the_scene(floating):
+    data = BiDexDataset(floating, points=1024)
+    whole = data.__getitems__(range(len(data))).stacked
+    release = Release.open(floating)
+    for i in range(len(data)):
+        object_id = data.object_ids[whole["object_index"][i]]
+        unit = release.cloud("cloud_solid", object_id)
+        expected = unit * np.float32(whole["size_mm"][i].item() / 1000)
+        np.testing.assert_array_equal(whole["cloud_solid"][i].numpy(), expected)
+
+
+def test_both_frames_describe_the_same_scene(tabletop):
+    in_object = BiDexDataset(tabletop, fields=("hand_pos", "hand_quat_wxyz"), points=16)
+    in_world = BiDexDataset(tabletop, fields=("hand_pos", "hand_quat_wxyz", "object_pos", "object_quat_wxyz"), frame="world", points=16)  # fmt: skip
+    a = in_object.__getitems__(range(len(in_object))).stacked
+    b = {k: v.numpy() for k, v in in_world.__getitems__(range(len(in_world))).stacked.items()}
+    T_world_object = frames.transform(b["object_pos"], b["object_quat_wxyz"])
+    cloud = frames.apply(T_world_object, a["cloud_solid"].numpy())
+    np.testing.assert_allclose(cloud, b["cloud_solid"], atol=FLOAT32)
+    T_object_hand = frames.transform(a["hand_pos"].numpy(), a["hand_quat_wxyz"].numpy())
+    T_world_hand = T_world_object[:, None, None] @ T_object_hand
+    pos, quat = frames.pos_quat(T_world_hand)
+    np.testing.assert_allclose(pos, b["hand_pos"], atol=FLOAT32)
+    overlap = np.abs(np.einsum("...i,...i->...", quat, b["hand_quat_wxyz"]))
+    np.testing.assert_allclose(overlap, 1, atol=FLOAT32)
+    assert not np.allclose(a["hand_pos"].numpy(), b["hand_pos"])
+    assert (a["hand_quat_wxyz"][..., 0] >= 0).all()
+
+
+def test_floating_scenes_need_no_conversion(floating):
+    a, b = (
+        BiDexDataset(floating, frame=f).__getitems__([0, 1]).stacked for f in ("object", "world")
+    )
+    assert all(torch.equal(torch.nan_to_num(a[k]), torch.nan_to_num(b[k])) for k in a)
+
+
+def test_failed_attempts_stay_nan(tabletop):
+    data = BiDexDataset(tabletop, configuration="audit", where="synth_status != 0", cloud=None)
+    assert len(data) == len(Release.open(tabletop).splits["train"]) * len(SIZES)
+    batch = data.__getitems__(range(len(data))).stacked
+    assert torch.isnan(batch["hand_pos"]).all()
+    assert torch.isnan(batch["hand_quat_wxyz"]).all()
+
+
+def test_batches_do_not_depend_on_workers_or_collation(floating):
+    data = BiDexDataset(floating, fields=EVERYTHING, points=16)
+    alone = loaded(data)
+    spawned = loaded(data, num_workers=2, multiprocessing_context="spawn")
+    assert same_batches(alone, spawned)
+    default = list(DataLoader(data, batch_size=5))
+    assert same_batches(alone, default)
+    again = loaded(BiDexDataset(floating, fields=EVERYTHING, points=16))
+    assert same_batches(alone, again)
+
+
+def test_parquet_alone_gives_the_same_items(floating, tmp_path):
+    bare = made_release(tmp_path / "r", form="parquet")
+    assert not (bare / "grasps.h5").exists()
+    a, b = (BiDexDataset(p, fields=EVERYTHING, points=16) for p in (floating, bare))
+    assert same_batches(loaded(a), loaded(b))
+
+
+def test_workers_get_paths_not_tables(floating):
+    data = BiDexDataset(floating)
+    assert len(pickle.dumps(data)) < 20_000
+    again = pickle.loads(pickle.dumps(data))  # noqa: S301  (what spawn does)
+    assert same_batches([data.__getitems__([0, 2]).stacked], [again.__getitems__([0, 2]).stacked])
+
+
+def test_selection_is_said_in_repr_and_log(floating, caplog):
+    with caplog.at_level(logging.INFO, logger="bidexdata.loaders.dataset"):
+        data = BiDexDataset(floating, where="suc_f")
+    assert "selected rows only" in repr(data)
+    assert "where='suc_f'" in repr(data)
+    assert f"{len(data)} of {PER_SCENE * len(SIZES) * 2} grasps" in repr(data)
+    assert repr(data) in caplog.text
+    assert "audit rows only" in repr(BiDexDataset(floating, configuration="audit"))
+
+
+def test_splits_cover_the_release_and_share_no_object(floating):
+    train, test = (BiDexDataset(floating, split=s, fields=("grasp_id",)) for s in ("train", "test"))
+    seen = [
+        set(d.__getitems__(range(len(d))).stacked["object_index"].tolist()) for d in (train, test)
+    ]
+    assert not seen[0] & seen[1]
+    assert len(seen[0] | seen[1]) == len(OBJECTS)
+    assert len(train) + len(test) == PER_SCENE * len(OBJECTS) * len(SIZES)
+
+
+def test_negative_indices_count_from_the_end_and_others_are_refused(floating):
+    data = BiDexDataset(floating, fields=("grasp_id",), cloud=None)
+    assert data[-1]["grasp_id"] == data[len(data) - 1]["grasp_id"]
+    for index in (len(data), -len(data) - 1):
+        with pytest.raises(IndexError):
+            data[index]
+    assert len(data.__getitems__([])) == 0
+    rows = data.__getitems__([4, 1, 2])
+    assert [r["grasp_id"] for r in rows[1:]] == rows.stacked["grasp_id"][1:]
+    with pytest.raises(IndexError):
+        rows[3]
+
+
+def test_an_empty_choice_is_an_empty_dataset(floating):
+    data = BiDexDataset(floating, where="size_mm > 10000")
+    assert len(data) == 0
+    assert loaded(data) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "said"),
+    [
+        ({"split": "val"}, UnknownName, "train, test"),
+        ({"fields": ("joint",)}, UnknownName, "did you mean 'joints'"),
+        ({"frame": "palm"}, UnknownName, "object, world"),
+        ({"cloud": "cloud_hull"}, UnknownName, "cloud_solid"),
+        ({"configuration": "all"}, UnknownName, "selected, audit"),
+        ({"points": 1025}, BadConfig, "stores 1024 per object"),
+        ({"where": "suc_x"}, UnknownName, "did you mean"),
+        ({"where": {"sizes": 3}}, UnknownName, "sizes"),
+    ],
+)
+def test_what_is_not_there_is_named(floating, options, error, said):
+    with pytest.raises(error, match=said):
+        BiDexDataset(floating, **options)
+
+
+def test_no_release_is_a_path_error(tmp_path):
+    with pytest.raises(PathNotFound):
+        BiDexDataset(tmp_path)
+
+
+def test_without_torch_the_pip_line_is_named(floating, monkeypatch):
+    monkeypatch.setattr("bidexdata.loaders.dataset.find_spec", lambda name: None)
+    with pytest.raises(MissingExtra, match="pip install"):
+        BiDexDataset(floating)
+
+
+def test_a_sampler_drives_it(floating):
+    data = BiDexDataset(floating, fields=("grasp_id",), cloud=None)
+    sampler = EpochSampler(len(data), seed=1)
+    ids = [
+        i for b in DataLoader(data, 4, sampler=sampler, collate_fn=collate) for i in b["grasp_id"]
+    ]
+    expected = np.random.default_rng([1, 0]).permutation(len(data))
+    assert ids == [data[int(i)]["grasp_id"] for i in expected]
