@@ -10,7 +10,7 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
-from typing import cast
+from typing import Annotated, cast
 
 # Plain help: rich would add a third of a second, and its boxes do not survive a pipe.
 os.environ.setdefault("TYPER_USE_RICH", "0")
@@ -60,19 +60,21 @@ for _name, _function in COMMANDS.items():
     app.command(_name)(_function)
 
 
-def _show_version(wanted: bool) -> None:
+def _show_version(wanted: bool) -> bool:
     if wanted:
         from bidexdata import __version__
 
         print(f"bidexdata {__version__}")
         raise typer.Exit
+    return wanted
 
 
 @app.callback()
 def _root(
-    version: bool = typer.Option(
-        False, "--version", callback=_show_version, is_eager=True, help="Print the version."
-    ),
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version."),
+    ] = False,
 ) -> None:
     pass
 
@@ -85,15 +87,16 @@ def main() -> None:
 def run(arguments: Sequence[str]) -> int:
     """Run one command and give its exit code; errors are one sentence on standard error."""
     try:
-        code = app(args=list(arguments), prog_name="bidexdata", standalone_mode=False)
+        code = int(app(args=list(arguments), prog_name="bidexdata", standalone_mode=False) or 0)
         sys.stdout.flush()
-        return int(code or 0)
+        # Typer turns Ctrl-C into this code, or into Abort, depending on its version.
+        return _interrupted() if code == INTERRUPTED else code
     except _UsageError as err:
         return _usage(err)
     except BidexError as err:
         return _complain(str(err), err.exit_code, arguments)
     except (KeyboardInterrupt, typer.Abort):
-        return _complain("interrupted; the same command goes on from here", INTERRUPTED, ())
+        return _interrupted()
     except BrokenPipeError:
         # The reader of our output went away (`| head`); nothing more can be said to it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -116,10 +119,15 @@ def _usage(err: Exception) -> int:
     return 2
 
 
+def _interrupted() -> int:
+    print("interrupted; the same command goes on from here", file=sys.stderr)
+    return INTERRUPTED
+
+
 def _complain(sentence: str, code: int, arguments: Sequence[str]) -> int:
     if "--debug" in arguments:
         traceback.print_exc()
-    print(f"error: {sentence}" if code != INTERRUPTED else sentence, file=sys.stderr)
+    print(f"error: {sentence}", file=sys.stderr)
     return code
 
 

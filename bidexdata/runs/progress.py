@@ -5,7 +5,8 @@ from __future__ import annotations
 import shutil
 import sys
 import time
-from typing import TextIO
+from io import TextIOBase
+from typing import Any
 
 PLAIN_INTERVAL = 10.0
 """Seconds between lines where standard error is no terminal."""
@@ -27,12 +28,12 @@ class Progress:
         quiet: bool = False,
         *,
         already: int = 0,
-        stream: TextIO | None = None,
+        stream: TextIOBase | None = None,
     ):
         self.total, self.unit, self.done = total, unit, already
         self._already = already
         self._quiet = quiet
-        self._stream = stream or sys.stderr
+        self._stream: Any = stream or sys.stderr
         self._bar = not quiet and self._stream.isatty()
         self._start = time.monotonic()
         self._shown = 0.0
@@ -46,8 +47,8 @@ class Progress:
             self._line(f"{self._already} of {self.total} {self.unit} were done before")
         return self
 
-    def __exit__(self, *_: object) -> None:
-        if self._quiet:
+    def __exit__(self, error: object, *_: object) -> None:
+        if self._quiet or (error is not None and self.done == self._already):
             return
         if self._bar:
             self._draw()

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bidexdata.config import differing_keys, fingerprint
 from bidexdata.errors import ConfigConflict, NotUsable
 from bidexdata.record import FIELDS, GraspBatch
-from bidexdata.runs.plan import Task, write_plan
+from bidexdata.runs.plan import Round, Task, write_plan
 from bidexdata.runs.run import PLAN_FILE, Run
 from bidexdata.runs.shards import shard_path, write_shard
 from bidexdata.runs.spec import RUN_FILE, RunSpec, package_versions, relative_to_run, write_spec
@@ -39,12 +41,11 @@ def start_retest(release_path: str | Path, out: str | Path) -> Run:
     if out.exists() and (not out.is_dir() or any(p.name != "import" for p in out.iterdir())):
         raise NotUsable(f"{out} exists and is no run; choose another --out")
     run = Run(out, spec)
-    tasks = []
+    tasks, attempts = [], _attempts(release)
     for object_id in release.object_ids:
-        batch = _rows(release, object_id, run)
-        if batch is None:
-            continue
-        scenes = tuple(dict.fromkeys(batch["scene_id"].tolist()))
+        counts = attempts.get(object_id, {})
+        batch = _rows(release, object_id, counts, run)
+        scenes = tuple(counts)
         task = Task(fingerprint([object_id, scenes, 0]), object_id, scenes, 0)
         path = shard_path(run.stage_folder("rows"), task.task_id)
         write_shard(path, batch.to_arrow(), run.fingerprint)
@@ -66,11 +67,30 @@ def _spec(release: Release, out: Path) -> RunSpec:
         sizes_mm=tuple(sorted(sizes)),
         source=relative_to_run(release.path, out),
         source_fingerprint=hashlib.sha256(manifest).hexdigest()[:16],
+        rounds=_rounds(release),
         versions=package_versions(),
     )
 
 
-def _rows(release: Release, object_id: str, run: Run) -> GraspBatch | None:
+def _rounds(release: Release) -> tuple[Round, ...]:
+    """The N of all scenes, which rates need; none where scenes differ or rows were imported."""
+    wanted = set(release.scenes.column("grasps_wanted").to_pylist())
+    made = [sum(json.loads(a).values()) for a in release.scenes.column("attempts").to_pylist()]
+    number = wanted.pop() if len(wanted) == 1 else 0
+    return (Round(number, max(made)),) if number else ()
+
+
+def _attempts(release: Release) -> dict[str, dict[str, dict[str, int]]]:
+    """Attempts per status label for every scene of every object."""
+    found: dict[str, dict[str, dict[str, int]]] = {}
+    for row in release.scenes.to_pylist():
+        found.setdefault(row["object_id"], {})[row["scene_id"]] = json.loads(row["attempts"])
+    return found
+
+
+def _rows(
+    release: Release, object_id: str, counts: Mapping[str, Mapping[str, int]], run: Run
+) -> GraspBatch:
     """Selected rows, then audit rows that are not selected too; no verdicts."""
     parts = []
     for configuration in release.configurations:
@@ -78,11 +98,8 @@ def _rows(release: Release, object_id: str, run: Run) -> GraspBatch | None:
         if configuration == "audit":
             batch = batch.select(~batch["selected"])
         columns = {n: c for n, c in batch.columns.items() if FIELDS[n].written_by != "validate"}
-        if len(batch):
-            parts.append(GraspBatch(batch.header, columns))
-    if not parts:
-        return None
+        parts.append(GraspBatch(batch.header, columns))
     joined = GraspBatch.concat(parts)
     prints = {**joined.header.fingerprints, "run": run.fingerprint}
-    header = dataclasses.replace(joined.header, fingerprints=prints)
+    header = dataclasses.replace(joined.header, fingerprints=prints, counts=counts)
     return dataclasses.replace(joined, header=header)

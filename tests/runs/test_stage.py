@@ -1,0 +1,86 @@
+"""Laws of a stage: done tasks are left alone, a failed one leaves nothing and is tried again."""
+
+from __future__ import annotations
+
+import io
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from bidexdata.runs.plan import Task
+from bidexdata.runs.progress import Progress
+from bidexdata.runs.shards import done_tasks, shard_path, write_text
+from bidexdata.runs.stage import Execution, TaskSummary, run_stage
+
+TASKS = [Task(f"{k:02x}{k:014x}", f"o{k}", (f"o{k}/300/float",), 0) for k in range(5)]
+
+
+def work(folder: Path, bad: frozenset[str], task: Task) -> TaskSummary:
+    if task.object_id in bad:
+        raise RuntimeError(f"{task.object_id} is bad")
+    write_text(shard_path(folder, task.task_id), task.object_id)
+    return TaskSummary(2, 1, {"ok": 1, "no_placement": 1})
+
+
+def stage(folder: Path, bad: set[str], executor: str = "inline"):
+    return run_stage(
+        TASKS,
+        done_tasks(folder / "synth"),
+        partial(work, folder / "synth", frozenset(bad)),
+        unit="tasks",
+        logs=folder / "logs",
+        execution=Execution(executor=executor, workers=2, quiet=True),
+    )
+
+
+@pytest.mark.parametrize("executor", ["inline", "processes"])
+def test_a_failed_task_is_reported_logged_and_tried_again(tmp_path: Path, executor: str):
+    first = stage(tmp_path, {"o1", "o3"}, executor)
+    assert {f.task.object_id: f.reason for f in first.failures} == {
+        "o1": "RuntimeError: o1 is bad",
+        "o3": "RuntimeError: o3 is bad",
+    }
+    assert (first.tasks, first.before, first.finished) == (5, 0, 3)
+    assert (first.rows, first.good, first.by_status) == (6, 3, {"ok": 3, "no_placement": 3})
+    logged = "".join(p.read_text() for p in (tmp_path / "logs").iterdir())
+    assert "o3 is bad" in logged
+    assert "Traceback" in logged
+
+    second = stage(tmp_path, set(), executor)
+    assert (second.before, second.finished, second.failures) == (3, 2, ())
+    third = stage(tmp_path, {"o0"}, executor)
+    assert (third.before, third.finished, third.failures) == (5, 0, ())
+
+
+def test_progress_on_a_pipe_is_plain_lines_with_rate():
+    stream = io.StringIO()
+    with Progress(4, "tasks", already=1, stream=stream) as progress:
+        for _ in range(3):
+            progress.advance()
+    lines = stream.getvalue().splitlines()
+    assert lines[0] == "1 of 4 tasks were done before"
+    assert lines[-1].startswith("4 of 4 tasks (100 %), ")
+    assert "tasks/s" in lines[-1]
+    assert "\r" not in stream.getvalue()
+
+
+def test_progress_on_a_terminal_redraws_one_line_and_quiet_says_nothing():
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    stream = Terminal()
+    with Progress(2, "tasks", stream=stream) as progress:
+        progress.advance()
+        progress.write("a remark")
+        progress.advance()
+    assert "\r" in stream.getvalue()
+    assert "a remark\n" in stream.getvalue()
+    assert stream.getvalue().count("2 of 2 tasks") == 1
+
+    silent = Terminal()
+    with Progress(2, "tasks", quiet=True, stream=silent) as progress:
+        progress.advance()
+        progress.write("a remark")
+    assert silent.getvalue() == ""
