@@ -38,7 +38,11 @@ def _imports_of(path: Path) -> set[str]:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
             names = [node.module] if node.module != "bidexdata" else []
-            names += [f"bidexdata.{a.name}" for a in node.names if node.module == "bidexdata"]
+            names += [
+                f"bidexdata.{a.name}"
+                for a in node.names
+                if node.module == "bidexdata" and a.name != "__version__"
+            ]
         elif isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         else:

@@ -1,0 +1,50 @@
+"""The public names: all there, loaded when first used, light until then."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import bidexdata
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize("name", [n for n in bidexdata.__all__ if n != "__version__"])
+def test_every_public_name_is_defined_where_the_table_says(name):
+    value = getattr(bidexdata, name)
+    assert value.__module__.startswith("bidexdata.")
+    assert value.__doc__
+
+
+def test_a_name_that_is_not_public_is_refused():
+    with pytest.raises(AttributeError, match="no attribute 'grasp'"):
+        _ = bidexdata.grasp
+
+
+def test_completion_shows_the_public_names():
+    assert {"BiDexDataset", "Release", "GraspBatch"} <= set(dir(bidexdata))
+
+
+def test_the_version_is_that_of_the_package_metadata():
+    declared = re.search(r'^version = "(.+)"$', (ROOT / "pyproject.toml").read_text(), re.M)
+    assert declared
+    assert bidexdata.__version__ == declared[1]
+
+
+@pytest.mark.parametrize(
+    ("code", "absent"),
+    [
+        ("import bidexdata", "torch warp mujoco trimesh viser pyarrow scipy h5py yaml"),
+        ("import bidexdata.loaders", "torch warp mujoco trimesh viser pyarrow h5py"),
+        ("from bidexdata import GraspBatch", "torch warp mujoco trimesh viser pyarrow h5py"),
+        ("from bidexdata import Release, verify_release", "torch warp mujoco trimesh viser"),
+        ("from bidexdata import BiDexDataset", "torch warp mujoco trimesh viser"),
+    ],
+)
+def test_reading_needs_none_of_what_writing_needs(code, absent):
+    check = f"import sys\n{code}\nprint([m for m in '{absent}'.split() if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
