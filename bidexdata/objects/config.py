@@ -55,6 +55,8 @@ class ConvexConfig:
     """A mesh that fills this share of its hull is its hull: one piece, no search."""
     simplify: float = 0.003
     """Tolerance of the simplification before the search: worth more than any parameter below."""
+    max_faces: int = 2500
+    """Faces above which that tolerance grows."""
     threshold: float = 0.07
     """Concavity at which the search stops, relative to CoACD's normalised mesh."""
     thin_threshold: float = 0.05

@@ -35,6 +35,8 @@ _WALL_PER_CPU = 6.0
 """Wall-clock seconds granted per CPU second: the machine may be busy with other work."""
 _FLAT = 1e-5
 """Pieces thinner than this (unit diagonal) have no volume that a simulator accepts."""
+_COARSEST = 0.008
+"""Largest tolerance of the simplification before the search."""
 _FIRST_TOLERANCE = 2e-4
 """Where the search for the tolerance that leaves few enough vertices starts."""
 
@@ -63,7 +65,7 @@ def decompose(mesh: TriangleMesh, config: ConvexConfig) -> Decomposition:
     if solid.volume() >= config.convex_ratio * hull.volume():
         return Decomposition((_few_vertices(hull, config),), "convex", ())
 
-    simple = as_mesh(solid.simplify(config.simplify))
+    simple = _simplified(solid, config)
     warnings = []
     thin = solid.volume() / solid.surface_area() < config.thin_ratio
     tries = (
@@ -88,6 +90,16 @@ def decompose(mesh: TriangleMesh, config: ConvexConfig) -> Decomposition:
         warnings.append(f"{method} {reason or 'gave no piece with a volume'}")
     warnings.append("replaced by its hull")
     return Decomposition((_few_vertices(hull, config),), "hull", tuple(warnings))
+
+
+def _simplified(solid: Manifold, config: ConvexConfig) -> TriangleMesh:
+    """Collapse edges under the tolerance, and further while there are too many faces."""
+    tolerance = config.simplify
+    simple = solid.simplify(tolerance)
+    while simple.num_tri() > config.max_faces and tolerance < _COARSEST:
+        tolerance *= 1.4
+        simple = solid.simplify(tolerance)
+    return as_mesh(simple)
 
 
 def _run_coacd(

@@ -102,7 +102,7 @@ def unit_mesh(
     return LoadedMesh(unit, centre, diagonal, metres_per_unit, warnings)
 
 
-def _read(path: Path, suffix: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _read(path: Path, suffix: str) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     import trimesh
 
     try:
@@ -124,7 +124,10 @@ def _read(path: Path, suffix: str) -> tuple[NDArray[np.float64], NDArray[np.int6
     vertices = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), np.float64)
     if faces is None or len(faces) == 0:
         raise PrepareFailure(Status.NO_FACES, f"{len(vertices)} vertices and no face")
-    return vertices, np.asarray(faces, np.int64)
+    faces = np.asarray(faces, np.int64)
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise PrepareFailure(Status.UNREADABLE, "a face names a vertex that does not exist")
+    return vertices, faces.astype(np.int32)
 
 
 def _flatten(scene: Any) -> Any:

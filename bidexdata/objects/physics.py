@@ -48,7 +48,7 @@ def mass_properties(mesh: TriangleMesh) -> MassProperties:
     for corner in (a, b, c):
         second += np.einsum("n,ni,nj->ij", det, corner, corner)
     second = second / 120 - volume * np.outer(centre, centre)
-    inertia = np.trace(second) * np.eye(3) - second
+    inertia = np.trace(second) * np.eye(3) - (second + second.T) / 2
     return MassProperties(volume, centre + shift, inertia)
 
 

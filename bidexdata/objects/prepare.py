@@ -32,10 +32,16 @@ from bidexdata.objects.surface import surface_points
 from bidexdata.record.status import Status
 
 _GENERIC = frozenset(
-    "mesh model object obj textured nontextured normalized simplified decomposed scene"
-    " coacd google_16k meshes visual collision tsdf poisson".split()
+    {
+        *("coacd", "collision", "decomposed", "google_16k", "mesh", "meshes", "model", "obj"),
+        *("nontextured", "normalized", "object", "poisson", "scene", "simplified", "textured"),
+        *("tsdf", "visual"),
+    }
 )
 """Names of files and folders that say nothing of the object; the folder above names it then."""
+
+_SLIVER = 1e-5
+"""Tolerance at which the needles that a union leaves are collapsed; searches are in float32."""
 
 
 def prepare_object(
@@ -137,7 +143,7 @@ def _united(pieces: tuple[TriangleMesh, ...]) -> TriangleMesh:
     whole = union([p for p in parts if p is not None])
     if whole.is_empty() or whole.volume() <= 0:
         raise PrepareFailure(Status.DECOMPOSITION_FAILED, "the union of the pieces is empty")
-    return as_mesh(whole)
+    return as_mesh(whole.simplify(_SLIVER))
 
 
 def _assembled(

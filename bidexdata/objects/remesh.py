@@ -7,6 +7,8 @@ a grid cell, get lost; those parts of the surface, and only those, are given a t
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -71,12 +73,10 @@ def _level_set(field: NDArray[np.float32], low: NDArray[np.float64], cell: float
         return TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
     # A node exactly on the surface would give triangles without area.
     field = np.where(np.abs(field) < 1e-4 * cell, np.float32(1e-4 * cell), field)
-    vertices, indices = IsoSurfaceMarchingCubes.extract(
-        wp.array(np.ascontiguousarray(field, np.float32), dtype=wp.float32, device="cpu")
-    )
-    mesh = TriangleMesh(
-        low + cell * vertices.numpy().astype(np.float64), indices.numpy().reshape(-1, 3)
-    )
+    grid: Any = wp.array(np.ascontiguousarray(field, np.float32), dtype=wp.float32, device="cpu")
+    vertices, indices = IsoSurfaceMarchingCubes.extract(grid)
+    faces = np.asarray(indices.numpy(), np.int32).reshape(-1, 3)
+    mesh = TriangleMesh(low + cell * np.asarray(vertices.numpy(), np.float64), faces)
     mesh = weld(mesh, 1e-6 * cell)
     if mass_properties(mesh).volume < 0:
         mesh = TriangleMesh(mesh.vertices, mesh.faces[:, ::-1])
@@ -105,10 +105,10 @@ def _subdivided(mesh: TriangleMesh, longest: float) -> TriangleMesh:
     """Split faces until no edge is longer than `longest`."""
     import trimesh
 
-    vertices, faces = trimesh.remesh.subdivide_to_size(
+    split = trimesh.remesh.subdivide_to_size(
         mesh.vertices, mesh.faces, max_edge=longest, max_iter=20
     )
-    return TriangleMesh(np.asarray(vertices), np.asarray(faces, np.int32))
+    return TriangleMesh(np.asarray(split[0], np.float64), np.asarray(split[1], np.int32))
 
 
 def _areas(mesh: TriangleMesh) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ Sign: half-space tests of the convex pieces.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,10 +104,10 @@ def _band(
     for points in cover(solid, cell):
         index = np.rint((points - origin) / cell).astype(int)
         band[tuple(index.T)] = True
-    return binary_dilation(band, np.ones((3, 3, 3), bool), iterations=_BAND)
+    return np.asarray(binary_dilation(band, np.ones((3, 3, 3), bool), iterations=_BAND), bool)
 
 
-def cover(mesh: TriangleMesh, spacing: float):
+def cover(mesh: TriangleMesh, spacing: float) -> Iterator[NDArray[np.float64]]:
     """Yield arrays of points (P, 3) that leave no part of the surface farther than `spacing`.
 
     Every triangle gets a barycentric lattice as fine as its longest edge asks for.

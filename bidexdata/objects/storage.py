@@ -178,7 +178,7 @@ def read_document(folder: Path) -> dict[str, Any]:
         version = str(document["schema_version"])
     except (OSError, ValueError, KeyError, TypeError) as err:
         raise Contradiction(f"{path} is missing or damaged ({type(err).__name__})") from err
-    if version.split(".")[0] != SCHEMA_VERSION.split(".")[0]:
+    if version.partition(".")[0] != SCHEMA_VERSION.partition(".")[0]:
         raise Contradiction(
             f"{path} has schema version {version}, this version reads {SCHEMA_VERSION}; "
             "prepare the library again"

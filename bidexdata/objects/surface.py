@@ -82,12 +82,19 @@ def farthest_point_order(points: NDArray[np.float32]) -> NDArray[np.int64]:
     return order
 
 
-def _draw(mesh: TriangleMesh, count: int, rng: np.random.Generator):
+def _draw(
+    mesh: TriangleMesh, count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     points, face = sample_surface(mesh, count, rng)
     corners = mesh.vertices[mesh.faces[face]]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return points, normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
-def _in_crack(mesh: TriangleMesh, points, normals, depth: float) -> NDArray[np.bool_]:
+def _in_crack(
+    mesh: TriangleMesh,
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    depth: float,
+) -> NDArray[np.bool_]:
     return faces_wall(mesh, points + _LIFT * normals, normals, depth)

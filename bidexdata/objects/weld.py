@@ -15,11 +15,11 @@ def weld(mesh: TriangleMesh, tolerance: float) -> TriangleMesh:
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     vertices, number = np.unique(mesh.vertices, axis=0, return_inverse=True)
     number = number.reshape(-1)
-    pairs = cKDTree(vertices).query_pairs(tolerance, output_type="ndarray")
+    pairs = KDTree(vertices).query_pairs(tolerance, output_type="ndarray")
     if len(pairs):
         links = coo_matrix(
             (np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(vertices),) * 2

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bidexdata.errors import NotUsable, UnknownName
 from bidexdata.objects.closed import as_mesh, convex_hull, union
@@ -232,7 +232,7 @@ def _cross(length: float, width: float, thickness: float) -> Manifold:
     return union([_box(length, width, thickness), _box(width, length, thickness)])
 
 
-def _revolved(outline: NDArray[np.float64] | list[tuple[float, float]], sides: int) -> Manifold:
+def _revolved(outline: ArrayLike, sides: int) -> Manifold:
     """Turn an outline (r, z), counter-clockwise, about the z axis."""
     import manifold3d
 

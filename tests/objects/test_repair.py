@@ -1,0 +1,191 @@
+"""Laws of the repair: what goes in broken comes out closed, with the volume one can work out."""
+
+from __future__ import annotations
+
+import manifold3d
+import numpy as np
+import pytest
+
+from bidexdata.objects.closed import as_manifold, as_mesh
+from bidexdata.objects.config import RepairConfig
+from bidexdata.objects.deviation import hausdorff
+from bidexdata.objects.failure import PrepareFailure
+from bidexdata.objects.physics import mass_properties
+from bidexdata.objects.prepared import TriangleMesh
+from bidexdata.objects.remesh import winding_number
+from bidexdata.objects.repair import repair
+from bidexdata.objects.weld import weld
+from bidexdata.record.status import Status
+
+CONFIG = RepairConfig()
+CELL = 1 / CONFIG.remesh_cells
+FLOAT32 = 1e-6  # distances are searched in float32
+
+
+def cube(size, centre=(0.0, 0, 0)) -> TriangleMesh:
+    return as_mesh(manifold3d.Manifold.cube(size, True).translate(centre))
+
+
+def joined(*parts: TriangleMesh) -> TriangleMesh:
+    start = np.cumsum([0] + [len(p.vertices) for p in parts])
+    faces = [p.faces + s for p, s in zip(parts, start, strict=False)]
+    return TriangleMesh(
+        np.concatenate([p.vertices for p in parts]), np.concatenate(faces).astype(np.int32)
+    )
+
+
+def soup(mesh: TriangleMesh) -> TriangleMesh:
+    corners = mesh.vertices[mesh.faces].reshape(-1, 3)
+    return TriangleMesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
+
+
+def turned(mesh: TriangleMesh) -> TriangleMesh:
+    return TriangleMesh(mesh.vertices, mesh.faces[:, ::-1])
+
+
+def volume(mesh: TriangleMesh) -> float:
+    solid = as_manifold(mesh)
+    assert solid is not None, "not closed"
+    return solid.volume()
+
+
+def test_a_soup_of_triangles_is_welded_and_nothing_else(box):
+    repaired = repair(soup(box), CONFIG)
+    assert repaired.method == "as_is"
+    assert len(repaired.mesh.vertices) == 8
+    assert volume(repaired.mesh) == pytest.approx(0.09)
+    assert hausdorff(repaired.mesh, box, 1000) < FLOAT32
+
+
+def test_an_inward_mesh_is_turned(box):
+    repaired = repair(turned(box), CONFIG)
+    assert volume(repaired.mesh) == pytest.approx(0.09)
+    assert repaired.warnings == ("faces turned outward",)
+
+
+def test_cracks_wider_than_the_first_weld_are_closed_by_the_second(ball):
+    cracked = soup(ball)
+    noise = np.random.default_rng(0).uniform(-2e-5, 2e-5, cracked.vertices.shape)
+    repaired = repair(TriangleMesh(cracked.vertices + noise, cracked.faces), CONFIG)
+    assert repaired.method == "loose_weld"
+    assert volume(repaired.mesh) == pytest.approx(volume(ball), rel=1e-3)
+
+
+def test_faces_that_point_both_ways_are_made_consistent(ball):
+    flip = np.random.default_rng(1).random(len(ball.faces)) < 0.5
+    faces = np.where(flip[:, None], ball.faces[:, ::-1], ball.faces)
+    repaired = repair(TriangleMesh(ball.vertices, faces), CONFIG)
+    assert repaired.method == "light"
+    assert volume(repaired.mesh) == pytest.approx(volume(ball), rel=1e-9)
+
+
+def test_double_faces_and_a_small_hole_are_repaired_lightly(ball):
+    faces = np.concatenate([ball.faces[1:], ball.faces[5:50]])
+    repaired = repair(TriangleMesh(ball.vertices, faces), CONFIG)
+    assert repaired.method == "light"
+    assert volume(repaired.mesh) == pytest.approx(volume(ball), rel=1e-9)
+
+
+def test_overlapping_parts_count_once():
+    repaired = repair(joined(cube((0.5, 0.1, 0.1)), cube((0.1, 0.5, 0.1))), CONFIG)
+    assert volume(repaired.mesh) == pytest.approx(2 * 0.005 - 0.001)
+
+
+def test_a_cavity_is_filled_and_said_so(ball):
+    inner = TriangleMesh(0.5 * ball.vertices, ball.faces)
+    hollow = repair(joined(ball, turned(inner)), CONFIG)
+    assert volume(hollow.mesh) == pytest.approx(volume(ball), rel=1e-9)
+    assert hollow.warnings == ("1 inner cavities filled",)
+    nested = repair(joined(ball, inner), CONFIG)
+    assert volume(nested.mesh) == pytest.approx(volume(ball), rel=1e-9)
+
+
+def test_an_inward_part_that_is_no_cavity_is_turned():
+    parts = joined(cube((0.2, 0.2, 0.2)), turned(cube((0.2, 0.2, 0.2), (0.5, 0, 0))))
+    repaired = repair(parts, CONFIG)
+    assert volume(repaired.mesh) == pytest.approx(0.016)
+    assert repaired.warnings == ("1 components turned outward",)
+
+
+def test_open_crumbs_are_dropped_and_their_area_is_named(box):
+    fan = np.array([[0.0, 0], [1, 0], [1.5, 1], [0.5, 2], [-0.5, 1]]) * 0.01
+    crumb = TriangleMesh(
+        np.column_stack([np.full(5, 0.31), fan]),
+        np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4]], np.int32),
+    )
+    repaired = repair(joined(box, crumb), CONFIG)
+    assert repaired.method == "components"
+    assert volume(repaired.mesh) == pytest.approx(0.09)
+    assert "dropped" in repaired.warnings[-1]
+
+
+def test_a_ball_without_its_cap_is_closed_from_the_winding_number(ball):
+    middle = ball.vertices[ball.faces].mean(axis=1)
+    open_ball = TriangleMesh(ball.vertices, ball.faces[middle[:, 2] < 0.2])
+    repaired = repair(open_ball, CONFIG)
+    assert repaired.method == "remesh"
+    cap = np.pi * 0.1**2 * (3 * 0.3 - 0.1) / 3
+    assert volume(repaired.mesh) == pytest.approx(volume(ball) - cap, rel=0.05)
+    below = repaired.mesh.vertices[:, 2] < 0.15
+    away = np.abs(np.linalg.norm(repaired.mesh.vertices[below], axis=1) - 0.3)
+    assert away.max() < CELL
+
+
+def test_an_open_sheet_gets_the_stated_thickness():
+    # A bent sheet encloses no volume; with thickness t its volume is about area x t.
+    u, v = np.meshgrid(np.linspace(-0.35, 0.35, 15), np.linspace(-0.3, 0.3, 13), indexing="ij")
+    vertices = np.stack([u, v, 0.2 * u * u], axis=-1).reshape(-1, 3)
+    k = np.arange(14 * 12)
+    corner = (k // 12) * 13 + k % 12
+    faces = np.concatenate(
+        [
+            np.stack([corner, corner + 13, corner + 14], axis=1),
+            np.stack([corner, corner + 14, corner + 1], axis=1),
+        ]
+    ).astype(np.int32)
+    repaired = repair(TriangleMesh(vertices, faces), CONFIG)
+    assert repaired.method == "remesh_shell"
+    thick = 2 * CONFIG.shell_cells * CELL
+    assert volume(repaired.mesh) == pytest.approx(0.7 * 0.6 * thick, rel=0.15)
+    assert hausdorff(repaired.mesh, TriangleMesh(vertices, faces), 2000) < 1.1 * thick / 2 + CELL
+
+
+def test_what_lies_in_a_plane_has_no_volume(box):
+    flat = TriangleMesh(box.vertices * [1, 1, 0], box.faces)
+    with pytest.raises(PrepareFailure) as caught:
+        repair(flat, CONFIG)
+    assert caught.value.status == Status.NO_VOLUME
+
+
+def test_a_thin_closed_plate_is_left_alone():
+    plate = cube((0.8, 0.55, 0.0004))
+    repaired = repair(soup(plate), CONFIG)
+    assert repaired.method == "as_is"
+    assert volume(repaired.mesh) == pytest.approx(0.8 * 0.55 * 0.0004)
+
+
+def test_weld_keeps_a_closed_mesh_closed_when_triangles_collapse(ball):
+    # A pole squeezed to a needle: many triangles there are smaller than the tolerance.
+    squeeze = np.where(ball.vertices[:, 2:] > 0.28, [[0.02, 0.02, 1.0]], 1.0)
+    coarse = weld(TriangleMesh(ball.vertices * squeeze, ball.faces), 0.002)
+    assert 1000 < len(coarse.vertices) < len(ball.vertices)
+    assert len(coarse.faces) < len(ball.faces)
+    edges = np.sort(np.stack([coarse.faces, np.roll(coarse.faces, -1, 1)], 2).reshape(-1, 2), 1)
+    _, count = np.unique(edges, axis=0, return_counts=True)
+    assert (count % 2 == 0).all()
+
+
+def test_winding_number_counts_how_often_a_surface_goes_round(ball):
+    inside, outside = np.array([0.1, 0, 0]), np.array([1.0, 0, 0])
+    assert winding_number(ball, inside) == pytest.approx(1)
+    assert winding_number(ball, outside) == pytest.approx(0, abs=1e-9)
+    assert winding_number(turned(ball), inside) == pytest.approx(-1)
+    assert winding_number(joined(ball, ball), inside) == pytest.approx(2)
+
+
+def test_hausdorff_of_shifted_boxes_is_the_shift_and_ignores_swallowed_walls(box):
+    shifted = TriangleMesh(box.vertices + np.array([0.07, 0, 0]), box.faces)
+    assert hausdorff(box, shifted, 500) == pytest.approx(0.07, abs=1e-6)
+    inner = TriangleMesh(0.3 * box.vertices, box.faces)
+    assert hausdorff(box, joined(box, inner), 500) < FLOAT32
+    assert mass_properties(joined(box, inner)).volume > 0.09
