@@ -11,8 +11,7 @@ from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import Solid
 from bidexdata.pictures.camera import framed
 from bidexdata.pictures.drawing import Surface, grasp_parts, solid_parts
-from bidexdata.pictures.raycast import raycast
-from bidexdata.pictures.scene import Part
+from bidexdata.pictures.raycast import RayScene
 from bidexdata.pictures.views import DEFAULT_DIRECTION, choose_views, subject_points
 from bidexdata.record import GraspBatch
 
@@ -60,7 +59,13 @@ def draw_grasp(
         sRGB pixels, (height, views * (width + 4) - 4, 3).
     """
     parts = grasp_parts(batch, row, solid, hands, stage=stage, surface=surface, contacts=contacts)
-    return _side_by_side(parts, views, width, height, device)
+    scene, points = RayScene(parts, device), subject_points(parts)
+    return _row(
+        [
+            scene.draw(framed(points, direction, width / height), width, height)
+            for direction in choose_views(parts, scene, views)
+        ]
+    )
 
 
 def draw_stages(
@@ -77,10 +82,12 @@ def draw_stages(
 ) -> list[Pixels]:
     """Draw one grasp at several moments with the camera standing still."""
     shown = [grasp_parts(batch, row, solid, hands, stage=s, surface=surface) for s in stages]
-    direction = choose_views(shown[len(shown) // 2], device=device)[0]
+    scenes = [RayScene(parts, device) for parts in shown]
+    middle = len(shown) // 2
+    direction = choose_views(shown[middle], scenes[middle])[0]
     everything = np.concatenate([subject_points(parts) for parts in shown])
     camera = framed(everything, direction, width / height)
-    return [raycast(parts, camera, width, height, device=device) for parts in shown]
+    return [scene.draw(camera, width, height) for scene in scenes]
 
 
 def draw_object(
@@ -98,19 +105,7 @@ def draw_object(
     shown = [solid_parts(solid, 1.0, surface=s) for s in surfaces]
     points = np.concatenate([subject_points(parts) for parts in shown])
     camera = framed(points, DEFAULT_DIRECTION, width / height)
-    return _row([raycast(parts, camera, width, height, device=device) for parts in shown])
-
-
-def _side_by_side(
-    parts: Sequence[Part], views: int, width: int, height: int, device: str
-) -> Pixels:
-    points = subject_points(parts)
-    return _row(
-        [
-            raycast(parts, framed(points, d, width / height), width, height, device=device)
-            for d in choose_views(parts, views, device=device)
-        ]
-    )
+    return _row([RayScene(parts, device).draw(camera, width, height) for parts in shown])
 
 
 def _row(drawn: Sequence[Pixels]) -> Pixels:

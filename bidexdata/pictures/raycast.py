@@ -32,129 +32,108 @@ class Hits(NamedTuple):
     """Number of the part, -1 where nothing is met, (h, w)."""
 
 
-def raycast(
-    parts: Sequence[Part],
-    camera: Camera,
-    width: int,
-    height: int,
-    *,
-    samples: int = 2,
-    device: str = "cpu",
-) -> NDArray[np.uint8]:
-    """Draw a picture.
+class RayScene:
+    """Parts as one Warp mesh, ready to be looked at from any camera.
 
     Args:
         parts: What is seen; may be empty.
-        camera: Where from.
-        width: Pixels.
-        height: Pixels.
-        samples: Rays per pixel along each axis, averaged.
         device: A Warp device, `cpu` or `cuda:0`.
-
-    Returns:
-        sRGB pixels, row 0 at the top, (h, w, 3).
     """
-    import warp as wp
-
-    from bidexdata.pictures.raycast_kernels import shade
-
-    scene = _Geometry(parts, device)
-    rows, columns = height * samples, width * samples
-    hits = _cast(scene, camera, rows, columns)
-    light = wp.empty((rows, columns), dtype=_typed(wp.vec3), device=device)
-    key = camera.R_world_camera @ (np.array(KEY_LIGHT) / np.linalg.norm(KEY_LIGHT))
-    sky = wp.array(_sky_directions(SKY_RAYS), dtype=wp.vec3, device=device)
-    wp.launch(
-        shade,
-        dim=(rows, columns),
-        inputs=[
-            *(scene.mesh.id, scene.colour, scene.normal),
-            *_camera_arguments(camera),
-            *(wp.vec3(*key), 1e-4 * scene.extent, SKY_REACH * scene.extent, sky),
-            *hits,
-        ],
-        outputs=[light],
-        device=device,
-    )
-    linear = light.numpy().reshape(height, samples, width, samples, 3).mean(axis=(1, 3))
-    return np.round(255 * np.clip(linear, 0, 1) ** (1 / 2.2)).astype(np.uint8)
-
-
-def cast(
-    parts: Sequence[Part], camera: Camera, width: int, height: int, *, device: str = "cpu"
-) -> Hits:
-    """Find what each pixel sees, without shading."""
-    scene = _Geometry(parts, device)
-    distance, face, _ = _cast(scene, camera, height, width)
-    face = face.numpy()
-    part = np.where(face >= 0, scene.part_of_face[face], -1).astype(np.int32)
-    return Hits(distance.numpy(), part)
-
-
-class Viewfinder:
-    """Asks what is visible from many cameras without building the geometry again."""
 
     def __init__(self, parts: Sequence[Part], device: str = "cpu"):
-        self._scene = _Geometry(parts, device)
-
-    def visible(self, camera: Camera, width: int, height: int) -> NDArray[np.int32]:
-        """Number of pixels that show each part, (parts,)."""
-        face = _cast(self._scene, camera, height, width)[1].numpy().ravel()
-        seen = self._scene.part_of_face[face[face >= 0]]
-        return np.bincount(seen, minlength=self._scene.parts).astype(np.int32)
-
-
-class _Geometry:
-    """All parts as one Warp mesh, with a colour, normals and a part number per face."""
-
-    def __init__(self, parts: Sequence[Part], device: str):
         import warp as wp
 
         wp.config.log_level = wp.LOG_WARNING
         wp.init()
-        shown = [p for p in parts if len(p.faces)]
-        # Warp cannot build a mesh of nothing: one far, point-like triangle stands in.
-        far = Part(np.full((3, 3), 1e9), np.zeros((1, 3, 3)), _ONE_FACE, (0, 0, 0), "")
-        used = shown or [far]
+        # Warp cannot build a mesh of nothing: one far triangle without area stands in.
+        nothing = Part(np.full((3, 3), 1e9), np.zeros((1, 3, 3)), _ONE_FACE, (0, 0, 0), "")
+        used = [p for p in parts if len(p.faces)] or [nothing]
         offsets = np.cumsum([0, *(len(p.vertices) for p in used)])
         vertices = np.concatenate([p.vertices for p in used]).astype(np.float32)
         faces = np.concatenate([p.faces + o for p, o in zip(used, offsets, strict=False)])
         normals = np.concatenate([p.corner_normals for p in used]).astype(np.float32)
         count = [len(p.faces) for p in used]
         colour = np.repeat(np.array([p.colour for p in used], np.float32), count, axis=0)
-        number = [i for i, p in enumerate(parts) if len(p.faces)] or [0]
-        self.parts = len(parts)
-        self.part_of_face = np.repeat(number, count)
-        self.extent = float(np.linalg.norm(np.ptp(vertices, axis=0))) or 1.0
-        self.device = device
-        self.colour = wp.array(colour, dtype=wp.vec3, device=device)
-        self.normal = wp.array(normals, dtype=wp.vec3, device=device)
-        self.mesh = wp.Mesh(
+        numbers = [i for i, p in enumerate(parts) if len(p.faces)] or [0]
+        self._parts, self._device = len(parts), device
+        self._part_of_face = np.repeat(numbers, count)
+        self._extent = float(np.linalg.norm(np.ptp(vertices, axis=0))) or 1.0
+        self._colour = wp.array(colour, dtype=wp.vec3, device=device)
+        self._normal = wp.array(normals, dtype=wp.vec3, device=device)
+        self._mesh = wp.Mesh(
             points=wp.array(vertices, dtype=wp.vec3, device=device),
             indices=wp.array(faces.astype(np.int32).ravel(), dtype=int, device=device),
         )
 
+    def draw(
+        self, camera: Camera, width: int, height: int, *, samples: int = 2
+    ) -> NDArray[np.uint8]:
+        """Draw a picture.
+
+        Args:
+            camera: Where from.
+            width: Pixels.
+            height: Pixels.
+            samples: Rays per pixel along each axis, averaged.
+
+        Returns:
+            sRGB pixels, row 0 at the top, (h, w, 3).
+        """
+        import warp as wp
+
+        from bidexdata.pictures.raycast_kernels import shade
+
+        rows, columns, device = height * samples, width * samples, self._device
+        light = wp.empty((rows, columns), dtype=_typed(wp.vec3), device=device)
+        key = camera.R_world_camera @ (np.array(KEY_LIGHT) / np.linalg.norm(KEY_LIGHT))
+        sky = wp.array(_sky_directions(SKY_RAYS), dtype=wp.vec3, device=device)
+        wp.launch(
+            shade,
+            dim=(rows, columns),
+            inputs=[
+                *(self._mesh.id, self._colour, self._normal),
+                *_camera_arguments(camera),
+                *(wp.vec3(*key), 1e-4 * self._extent, SKY_REACH * self._extent, sky),
+                *self._cast(camera, rows, columns),
+            ],
+            outputs=[light],
+            device=device,
+        )
+        linear = light.numpy().reshape(height, samples, width, samples, 3).mean(axis=(1, 3))
+        return np.round(255 * np.clip(linear, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+
+    def hits(self, camera: Camera, width: int, height: int) -> Hits:
+        """Find what each pixel sees, without shading."""
+        distance, face, _ = self._cast(camera, height, width)
+        face = face.numpy()
+        part = np.where(face >= 0, self._part_of_face[face], -1).astype(np.int32)
+        return Hits(distance.numpy(), part)
+
+    def visible(self, camera: Camera, width: int, height: int) -> NDArray[np.int32]:
+        """Number of pixels that show each part, (parts,)."""
+        part = self.hits(camera, width, height).part
+        return np.bincount(part[part >= 0], minlength=self._parts).astype(np.int32)
+
+    def _cast(self, camera: Camera, rows: int, columns: int) -> tuple[Any, Any, Any]:
+        import warp as wp
+
+        from bidexdata.pictures.raycast_kernels import cast_rays
+
+        shape, device = (rows, columns), self._device
+        distance = wp.empty(shape, dtype=float, device=device)
+        face = wp.empty(shape, dtype=int, device=device)
+        bary = wp.empty(shape, dtype=_typed(wp.vec2), device=device)
+        wp.launch(
+            cast_rays,
+            dim=shape,
+            inputs=[self._mesh.id, *_camera_arguments(camera)],
+            outputs=[distance, face, bary],
+            device=device,
+        )
+        return distance, face, bary
+
 
 _ONE_FACE = np.array([[0, 1, 2]], np.int32)
-
-
-def _cast(scene: _Geometry, camera: Camera, rows: int, columns: int) -> tuple[Any, Any, Any]:
-    import warp as wp
-
-    from bidexdata.pictures.raycast_kernels import cast_rays
-
-    shape, device = (rows, columns), scene.device
-    distance = wp.empty(shape, dtype=float, device=device)
-    face = wp.empty(shape, dtype=int, device=device)
-    bary = wp.empty(shape, dtype=_typed(wp.vec2), device=device)
-    wp.launch(
-        cast_rays,
-        dim=shape,
-        inputs=[scene.mesh.id, *_camera_arguments(camera)],
-        outputs=[distance, face, bary],
-        device=device,
-    )
-    return distance, face, bary
 
 
 def _typed(kind: Any) -> Any:

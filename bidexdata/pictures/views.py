@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.pictures.camera import framed
-from bidexdata.pictures.raycast import Viewfinder
+from bidexdata.pictures.raycast import RayScene
 from bidexdata.pictures.scene import Part
 
 FloatArray = NDArray[np.float64]
@@ -22,8 +22,8 @@ _TILT = np.radians(20.0)
 _CIRCLE = 16
 
 
-def choose_views(parts: Sequence[Part], count: int = 1, *, device: str = "cpu") -> list[FloatArray]:
-    """Choose directions to the camera, unit, (count of (3,)).
+def choose_views(parts: Sequence[Part], scene: RayScene, count: int = 1) -> list[FloatArray]:
+    """Choose directions to the camera, unit, (count of (3,)); `scene` is made of the same parts.
 
     The candidates lie around the line between the hands, so that the hands stand on opposite sides
     of the picture. The first shows most of the hand that is seen least; each further one does so
@@ -36,9 +36,8 @@ def choose_views(parts: Sequence[Part], count: int = 1, *, device: str = "cpu") 
         return [candidates[k] for k in range(count)]
     points = subject_points(parts)
     points = points[:: 1 + len(points) // _FRAMING_POINTS]
-    finder = Viewfinder(parts, device)
     score = np.array(
-        [finder.visible(framed(points, d, 1.0), _SIDE, _SIDE)[subjects].min() for d in candidates],
+        [scene.visible(framed(points, d, 1.0), _SIDE, _SIDE)[subjects].min() for d in candidates],
         np.float64,
     )
     score *= _readable(candidates[:, 2])

@@ -6,8 +6,9 @@ Which rows are shown follows from the seed, the ids and the filter alone.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -99,7 +100,8 @@ def render(
         quiet: No progress bar.
 
     Raises:
-        NotUsable: Nothing matches, or the file's ending is none of these.
+        NotUsable: Nothing matches, there are no verdicts to choose by, or pillow is missing.
+        BadConfig: The file's ending is none of these, or `count` is not positive.
         PathNotFound: `path` does not exist.
     """
     started = perf_counter()
@@ -138,7 +140,7 @@ def choose_grasps(
     show; then each gives one grasp in turn, its sizes alternating. The result is sorted by object,
     size and grasp.
     """
-    queues: list[Iterator[Shown]] = []
+    queues: list[list[Shown]] = []
     for object_id in _shuffled(source.object_ids, seed):
         if len(queues) == count:
             break
@@ -146,15 +148,10 @@ def choose_grasps(
         rows = _matching(batch, only) if batch is not None else []
         if batch is not None and len(rows):
             order = _alternating(batch, rows, seed, len(queues))
-            queues.append(Shown(object_id, batch, row) for row in order)
-    chosen: list[Shown] = []
-    while queues and len(chosen) < count:
-        for queue in list(queues):
-            shown = next(queue, None)
-            if shown is None:
-                queues.remove(queue)
-            elif len(chosen) < count:
-                chosen.append(shown)
+            queues.append([Shown(object_id, batch, row) for row in order])
+    # First of each object, then second of each ...
+    turns = zip_longest(*queues)
+    chosen = [shown for turn in turns for shown in turn if shown is not None][:count]
     return sorted(
         chosen,
         key=lambda s: (

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from bidexdata.errors import MissingExtra, NotUsable
 from bidexdata.runs.browse import Browsable, open_browsable
 from bidexdata.viewer.catalog import Catalog
-from bidexdata.viewer.page import Page
+from bidexdata.viewer.page import FIELD_OF_VIEW, Page
 
 if TYPE_CHECKING:
     import viser
@@ -57,6 +58,8 @@ def serve_source(
     except ImportError as err:
         raise MissingExtra("viser", "view") from err
 
+    # A browser opens connections that it then does not use; the package would log each as an error.
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
     catalog = Catalog(source)
     if not catalog.object_ids:
         raise NotUsable(f"{source.path} holds no objects, so there is nothing to show")
@@ -68,6 +71,7 @@ def serve_source(
     def connected(client: viser.ClientHandle) -> None:
         def aim(position: NDArray[np.float64], target: NDArray[np.float64]) -> None:
             with client.atomic():
+                client.camera.fov = FIELD_OF_VIEW
                 client.camera.position, client.camera.look_at = position, target
 
         pages[client.client_id] = Page(client.gui, client.scene, catalog, aim)

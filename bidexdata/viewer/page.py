@@ -23,7 +23,7 @@ from bidexdata.viewer.words import (
     identity_markdown,
     object_markdown,
     scores_markdown,
-    verdict_markdown,
+    verdict_html,
 )
 
 if TYPE_CHECKING:
@@ -33,9 +33,12 @@ Aim = Callable[[NDArray[np.float64], NDArray[np.float64]], None]
 """Points a camera: position and the point it looks at [m]."""
 
 ALL_SIZES = "all sizes"
+NO_MATCH = "No grasp matches the filters."
 LIBRARY_SIZE = 0.4
 """Diagonal at which a library's objects are shown [m]."""
 STAGE_MARKS = ((0.0, "pre-grasp"), (1.0, "grasp"), (2.0, "squeeze"))
+FIELD_OF_VIEW = float(np.radians(35.0))
+"""Vertical opening angle of the page's camera [rad]; viser's own is 75 degrees."""
 PLAY_SECONDS = 2.5
 _PLAY_STEPS = 50
 KEYS = (
@@ -62,10 +65,10 @@ class Page:
         self._aimed_at: tuple[str, float] | None = None
         self.batch: GraspBatch | None = None
         self.rows: list[int] = []
-        self.nodes = GraspNodes(scene, catalog.hands)
         self._has_grasps = catalog.source.kind != "library"
         self._build_widgets()
         self._build_keys()
+        self.nodes = GraspNodes(scene, catalog.hands)
         self.open_object()
 
     @property
@@ -106,12 +109,12 @@ class Page:
             self._show_object(batch, row)
             if batch is None or row is None:
                 self.nodes.clear_contacts()
-                self.verdict.content = "No grasp matches the filters." if self._has_grasps else ""
+                self.verdict.content = NO_MATCH if self._has_grasps else ""
                 self.identity.content = self.scores.content = ""
             else:
                 test = self._catalog.source.test
                 self.nodes.show_contacts(batch, row)
-                self.verdict.content = verdict_markdown(batch, row, test=test)
+                self.verdict.content = verdict_html(batch, row, test=test)
                 self.identity.content = identity_markdown(batch, row)
                 self.scores.content = scores_markdown(batch, row)
             total = len(self.rows)
@@ -197,7 +200,7 @@ class Page:
             self.contacts = gui.add_checkbox("contacts and normals", True)
             self.forces = gui.add_checkbox("forces", False, hint="of the zero-load QP, orange")
         with gui.add_folder("Verdict and scores", visible=shown):
-            self.verdict = gui.add_markdown("")
+            self.verdict = gui.add_html("")
             self.identity = gui.add_markdown("")
             self.scores = gui.add_markdown("")
         with gui.add_folder("Keys", expand_by_default=False):
@@ -271,8 +274,8 @@ class Page:
         if self._aimed_at == (self.solid.object_id, size):
             return
         self._aimed_at = (self.solid.object_id, size)
-        # Object and hands on both sides, at viser's field of view of 75 degrees.
-        away = 0.7 * size + (0.35 if hands else 0.1)
+        # The hands reach about 0.2 m beyond the object on both sides.
+        away = 0.5 * (size + (0.45 if hands else 0.1)) / np.tan(0.5 * FIELD_OF_VIEW)
         self._aim(centre + away * side_direction(hands), centre)
 
 

@@ -1,6 +1,8 @@
-"""Markdown for the page: what a grasp is, its scores and its verdict; what an object is."""
+"""Text for the page: what a grasp is, its scores and its verdict; what an object is."""
 
 from __future__ import annotations
+
+import html
 
 import numpy as np
 
@@ -26,11 +28,14 @@ _SCORES = (
 )
 
 
-def verdict_markdown(batch: GraspBatch, row: int, *, test: str) -> str:
-    """One line with a mark: passed, failed and why, or not tested."""
+def verdict_html(batch: GraspBatch, row: int, *, test: str) -> str:
+    """One coloured line: passed, failed and why, or not tested."""
     words, good = verdict_words(batch, row, test=test or "f")
-    mark = {True: "✅", False: "❌", None: "➖"}[good]
-    return f"{mark} **{words}**"
+    colour = {True: "#18804a", False: "#be2824", None: "#6e7278"}[good]
+    return (
+        f'<div style="color:{colour};font-weight:600;font-size:0.9em;padding:0.4em 0.8em">'
+        f"{html.escape(words)}</div>"
+    )
 
 
 def scores_markdown(batch: GraspBatch, row: int) -> str:

@@ -1,0 +1,66 @@
+"""`bidexdata render`: pictures of grasps for people without a browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bidexdata.cli import options
+from bidexdata.cli.report import command, finish
+
+
+def render(
+    path: Annotated[Path, typer.Argument(metavar="LIBRARY|RUN|RELEASE", help="What to draw from.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="FILE", help="Contact sheet (.png .jpg .webp), animation (.gif .png)."
+        ),
+    ],
+    only: Annotated[
+        str | None, typer.Option(help="success or failure: what the test said of the grasps.")
+    ] = None,
+    count: Annotated[int, typer.Option(min=1, help="Pictures at most.")] = 12,
+    views: Annotated[int, typer.Option(min=1, max=4, help="Views of each grasp.")] = 2,
+    video: Annotated[
+        bool, typer.Option("--video", help="Animate pre-grasp, grasp, squeeze.")
+    ] = False,
+    seed: options.Seed = 0,
+    device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
+    as_json: options.Json = False,
+    quiet: options.Quiet = False,
+    debug: options.Debug = False,
+) -> None:
+    """Draw a contact sheet by ray casting; no screen and no GL library is needed.
+
+    Grasps are spread over objects and sizes; the same seed chooses the same ones. Selected grasps
+    are shown, with --only failure audit grasps too. Left hand blue, right hand green, contacts and
+    their outward normals red. A library shows its objects. An animation (--video) is an animated
+    GIF or PNG: nothing that writes MP4 comes with the package.
+
+    --json keys: out, kind, n, shown (ids of grasps or objects), drawn_by, seconds.
+    """
+    from typing import cast
+
+    from bidexdata.errors import UnknownName
+    from bidexdata.runs.render import Only
+    from bidexdata.runs.render import render as draw
+
+    if only not in (None, "success", "failure"):
+        raise UnknownName("outcome", only, ("success", "failure"))
+    report = draw(
+        path,
+        out,
+        only=cast("Only | None", only),
+        count=count,
+        views=views,
+        video=video,
+        seed=seed,
+        device=device,
+        quiet=quiet,
+    )
+    shown = f"{len(report.shown)} {'objects' if report.kind == 'library' else 'grasps'}"
+    lines = [f"{report.out}: {shown}, {report.drawn_by}, {report.seconds:.1f} s"]
+    finish(report.as_dict(), lines, following=command("view", path), as_json=as_json, quiet=quiet)
