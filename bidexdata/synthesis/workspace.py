@@ -218,7 +218,8 @@ def _hand_work(
     first = h * contacts.centres.shape[1] // SIDES
 
     def own(array: Any) -> Any:
-        return array[:, first : first + len(hand.contact_body)]
+        # Warp cannot slice an array without rows.
+        return array[:, first : first + len(hand.contact_body)] if n else array
 
     points = HandState(
         body_pos=zeros((n, bodies), wp.vec3),

@@ -1,0 +1,401 @@
+"""Laws of the optimisation as a whole: its gradient, its symmetry, its stages."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bidexdata.frames import matrix_from_quat, quat_angle, quat_multiply, random_quat
+from bidexdata.hands import load_hands
+from bidexdata.hands.kinematics import hand_points
+from bidexdata.objects.prepared import SignedDistanceGrid
+from bidexdata.synthesis import chain
+from bidexdata.synthesis.distance_field import signed_distance
+from bidexdata.synthesis.forces import contact_forces, force_scales, joint_torques
+from bidexdata.synthesis.optimise import _closure_problem, optimise, qp_config, read_pose
+from bidexdata.synthesis.optimise_config import (
+    AdamConfig,
+    ClosureConfig,
+    EnergyConfig,
+    OptimiseConfig,
+    PhaseConfig,
+)
+from bidexdata.synthesis.pose import Pose
+from bidexdata.synthesis.staging import StagingConfig, squeeze
+from bidexdata.synthesis.workspace import Start, allocate
+
+# Kernels are float32 and the field is piecewise linear: slopes agree to a few percent.
+SLOPE_TOLERANCE = 0.03
+SIZE = 0.4
+
+
+class Ellipsoid:
+    """A body whose field is symmetric about x = 0, with what the optimiser reads of an object."""
+
+    def __init__(self, cells=80):
+        axis = np.linspace(-0.7, 0.7, cells + 1)
+        x = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
+        radii = np.array([0.32, 0.25, 0.28])
+        k0 = np.linalg.norm(x / radii, axis=-1)
+        k1 = np.linalg.norm(x / radii**2, axis=-1)
+        values = (k0 * (k0 - 1) / np.maximum(k1, 1e-6)).astype(np.float32)
+        self.sdf = SignedDistanceGrid(values=values, origin=np.full(3, -0.7), cell=1.4 / cells)
+
+        class Hull:
+            vertices = np.concatenate([np.diag(radii), -np.diag(radii)])
+
+        self.hull = Hull
+
+
+@pytest.fixture(scope="module")
+def hands():
+    return load_hands("capsule")
+
+
+@pytest.fixture(scope="module")
+def body():
+    return Ellipsoid()
+
+
+def facing_start(hands, count, seed=0, distance=0.11):
+    """Hands on both sides of the body along x, palms facing it."""
+    rng = np.random.default_rng(seed)
+    # Palm faces -y of the hand frame: turn it to the body.
+    right = matrix_from_quat([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])  # -y -> +x
+    R = np.empty((count, 2, 3, 3))
+    p = np.empty((count, 2, 3))
+    for h, side in enumerate((-1.0, 1.0)):
+        base = right if side < 0 else right.T
+        for n in range(count):
+            small = rng.normal(0, 0.1, 3)
+            turn = matrix_from_quat(np.append(1.0, small) / np.linalg.norm(np.append(1.0, small)))
+            R[n, h] = turn @ base
+            # The middle of the contacts lies over the body's side.
+            middle = hand_points(hands[h], hands[h].posture_curved).contact.mean(0)
+            p[n, h] = np.array([side * (0.32 * SIZE + distance - 0.07), 0, 0]) - R[n, h] @ middle
+    joints = tuple(np.tile(h.posture_curved, (count, 1)) for h in hands)
+    anchors = np.array([[[-0.32 * SIZE, 0, 0]], [[0.32 * SIZE, 0, 0]]])
+    return Start(
+        size=np.full(count, SIZE),
+        position=p,
+        rotation=R,
+        joints=joints,
+        regions=np.tile(anchors, (count, 1, 1, 1)),
+        plane=np.zeros((count, 4)),
+    )
+
+
+def short(steps=(12, 6, 4), **kwargs):
+    base = OptimiseConfig()
+    phases = (base.approach, base.pregrasp, base.grasp)
+    a, b, c = (replace(p, steps=s) for p, s in zip(phases, steps, strict=True))
+    return replace(base, approach=a, pregrasp=b, grasp=c, **kwargs)
+
+
+def total_energy(ws, energy, closure_weight=0.0, residual=None):
+    """Weighted energy of each grasp, from what the kernels wrote."""
+    c = ws.contacts
+    total = energy.distance * c.distance_energy.numpy().sum(1, dtype=float)
+    total += energy.region * c.region_energy.numpy().sum(1, dtype=float)
+    total += energy.pad * c.pad_energy.numpy().sum(1, dtype=float)
+    for hand in ws.hands:
+        total += energy.penetration * hand.sphere_energy.numpy().sum(1, dtype=float)
+        overlap = hand.self_energy.numpy() + hand.other_energy.numpy().sum(1, dtype=float)
+        total += energy.self_penetration * overlap
+    if residual is not None:
+        total += closure_weight * residual.numpy().sum((1, 2), dtype=float)
+    return total
+
+
+def zero_energy(**weights):
+    names = ("distance", "region", "penetration", "self_penetration", "pad")
+    return EnergyConfig(**{**dict.fromkeys(names, 0.0), **weights})
+
+
+def slopes(body, hands, start, energy, direction, *, closure=None, step=2e-3):
+    """Directional derivative by the chain of kernels and by central differences, (N,) each."""
+    closure = closure or ClosureConfig(groups="decoupled", weight_decoupled=0.0)
+
+    def run(amount, want_gradient):
+        turned, moved, joints = [], [], []
+        for h in range(2):
+            d = direction[h]
+            angle = amount * d[3:6]
+            q = np.append(1.0, 0.5 * angle)
+            turned.append(matrix_from_quat(q / np.linalg.norm(q)) @ start.rotation[:, h])
+            moved.append(start.position[:, h] + amount * d[:3])
+            joints.append(start.joints[h] + amount * hands[h].coupling @ d[6:])
+        state = replace(
+            start,
+            rotation=np.stack(turned, 1),
+            position=np.stack(moved, 1),
+            joints=(joints[0], joints[1]),
+        )
+        ws = allocate(body, hands, state, np.full(len(state.size), 0.15))
+        qp, weights = _closure_problem(ws, closure)
+        calls = [
+            *chain.kinematics(ws),
+            *chain.surface(ws, energy),
+            *chain.distance_term(ws, energy, 0.0),
+            *chain.region_term(ws, energy),
+            *chain.closure_term(ws, qp, weights, qp_config(closure), 3000),
+            *chain.pad_term(ws, energy),
+            *chain.chain_to_centres(ws, energy),
+            *chain.collision_terms(ws, energy),
+            *chain.backward(ws),
+        ]
+        for call in calls:
+            call()
+        if want_gradient:
+            return sum(
+                hand.points.gradient.numpy().astype(float) @ direction[h]
+                for h, hand in enumerate(ws.hands)
+            )
+        return total_energy(ws, energy, closure.weight_decoupled, qp.residual)
+
+    numeric = (run(step, False) - run(-step, False)) / (2 * step)
+    return run(0.0, True), numeric
+
+
+@pytest.mark.parametrize(
+    ("name", "distance"),
+    [("distance", 0.11), ("region", 0.15), ("penetration", 0.06), ("self_penetration", 0.11)],
+)
+def test_the_gradient_of_each_energy_is_its_central_difference(body, hands, name, distance):
+    start = facing_start(hands, 6, distance=distance)
+    if name == "self_penetration":
+        # Fingers curl into the palm, and the hands into each other.
+        start = replace(start, joints=tuple(1.9 * q for q in start.joints))
+        start = replace(start, position=0.2 * start.position)
+    energy = zero_energy(**{name: 100.0})
+    if name == "region":
+        energy = replace(energy, region_threshold=0.02)
+    rng = np.random.default_rng(3)
+    exact, numeric = [], []
+    for _ in range(4):
+        direction = [rng.standard_normal(6 + h.coupling.shape[1]) * 0.3 for h in hands]
+        a, b = slopes(body, hands, start, energy, direction)
+        exact.append(a)
+        numeric.append(b)
+    exact, numeric = np.array(exact), np.array(numeric)
+    scale = np.abs(numeric).max()
+    assert scale > 1e-3
+    np.testing.assert_allclose(exact, numeric, atol=SLOPE_TOLERANCE * scale)
+
+
+def test_the_gradient_of_the_closure_follows_its_central_difference(body, hands):
+    """Through QP, surface point and normal; curvature between pad and surface is neglected."""
+    start = facing_start(hands, 8, distance=0.065)
+    # One hand alone cannot balance its own pressure, so this closure energy is far from zero.
+    closure = ClosureConfig(groups="decoupled", weight_decoupled=10.0)
+    rng = np.random.default_rng(4)
+    pairs = []
+    for _ in range(4):
+        direction = [rng.standard_normal(6 + h.coupling.shape[1]) * 0.3 for h in hands]
+        pairs.append(slopes(body, hands, start, zero_energy(), direction, closure=closure))
+    exact, numeric = np.concatenate(pairs, axis=1)
+    assert np.abs(numeric).max() > 1e-2
+    assert np.corrcoef(exact, numeric)[0, 1] > 0.97
+    slope = np.sum(exact * numeric) / np.sum(numeric**2)
+    assert 0.9 < slope < 1.3
+
+
+def test_a_mirrored_start_gives_the_mirrored_result(body, hands):
+    mirror = np.diag([-1.0, 1, 1])
+    start = facing_start(hands, 5)
+
+    def swapped(position, rotation):
+        return position[:, ::-1] @ mirror, mirror @ rotation[:, ::-1] @ mirror
+
+    p, R = swapped(start.position, start.rotation)
+    other = replace(
+        start,
+        position=p,
+        rotation=R,
+        joints=start.joints[::-1],
+        regions=start.regions[:, ::-1] @ mirror,
+    )
+    one = optimise(body, hands, start, short()).grasp
+    two = optimise(body, hands, other, short()).grasp
+    back_p, back_R = swapped(two.position, matrix_from_quat(two.quat_wxyz))
+    np.testing.assert_allclose(back_p, one.position, atol=2e-4)
+    np.testing.assert_allclose(back_R, matrix_from_quat(one.quat_wxyz), atol=5e-3)
+    for h in range(2):
+        np.testing.assert_allclose(two.joints[1 - h], one.joints[h], atol=2e-2)
+    moved = np.abs(one.position - start.position).max()
+    assert moved > 5e-3
+
+
+def test_the_pads_end_at_the_distances_asked_for(body, hands):
+    config = OptimiseConfig()
+    found = optimise(body, hands, facing_start(hands, 8), config)
+    # At the grasp the margin of the collision spheres keeps the pads up to 1 mm away.
+    for pose, wanted in ((found.pregrasp, config.pregrasp.distance), (found.grasp, 0.0)):
+        for h, hand in enumerate(hands):
+            base = (pose.position[:, h], pose.quat_wxyz[:, h])
+            centres = hand_points(hand, pose.joints[h], *base).contact
+            gaps = signed_distance(body.sdf, SIZE, centres)[0] - hand.contact_radius
+            assert abs(np.median(gaps) - wanted) < 2e-3
+
+
+def test_joints_stay_within_their_limits(body, hands):
+    phase = PhaseConfig(
+        steps=30, distance=0.0, step_position=0.0, step_rotation=0.0, step_joints=1.0
+    )
+    config = replace(short(), approach=phase)
+    grasp = optimise(body, hands, facing_start(hands, 4), config).grasp
+    for hand, q in zip(hands, grasp.joints, strict=True):
+        assert np.all(q >= hand.joint_lower - 1e-6)
+        assert np.all(q <= hand.joint_upper + 1e-6)
+
+
+def test_the_same_start_gives_the_same_bytes_in_any_batch(body, hands):
+    start = facing_start(hands, 7)
+
+    def rows(index):
+        return Start(
+            size=start.size[index],
+            position=start.position[index],
+            rotation=start.rotation[index],
+            joints=(start.joints[0][index], start.joints[1][index]),
+            regions=start.regions[index],
+            plane=start.plane[index],
+        )
+
+    whole = optimise(body, hands, start, short())
+    again = optimise(body, hands, start, short())
+    part = optimise(body, hands, rows(slice(3, 4)), short())
+    for a, b in ((whole, again),):
+        assert a.grasp.position.tobytes() == b.grasp.position.tobytes()
+        assert a.points.tobytes() == b.points.tobytes()
+    assert part.grasp.position.tobytes() == whole.grasp.position[3:4].tobytes()
+    assert part.grasp.quat_wxyz.tobytes() == whole.grasp.quat_wxyz[3:4].tobytes()
+    assert part.energies.closure.tobytes() == whole.energies.closure[3:4].tobytes()
+
+
+def test_no_start_gives_no_grasp(body, hands):
+    start = facing_start(hands, 1)
+    none = Start(
+        size=start.size[:0],
+        position=start.position[:0],
+        rotation=start.rotation[:0],
+        joints=(start.joints[0][:0], start.joints[1][:0]),
+        regions=start.regions[:0],
+        plane=start.plane[:0],
+    )
+    assert optimise(body, hands, none, short()).grasp.position.shape == (0, 2, 3)
+
+
+def test_a_start_that_is_not_finite_spoils_no_other(body, hands):
+    start = facing_start(hands, 4)
+    bad = start.position.copy()
+    bad[1] = np.nan
+    found = optimise(body, hands, replace(start, position=bad), short())
+    clean = optimise(body, hands, start, short())
+    assert found.grasp.finite().tolist() == [True, False, True, True]
+    keep = [0, 2, 3]
+    assert np.array_equal(found.grasp.position[keep], clean.grasp.position[keep])
+
+
+def test_a_table_is_left_clear(body, hands):
+    start = facing_start(hands, 6)
+    height = 0.06
+    plane = np.tile([0.0, 0.0, 1.0, height], (6, 1))
+    found = optimise(body, hands, replace(start, plane=plane), OptimiseConfig())
+    free = optimise(body, hands, start, OptimiseConfig())
+
+    def lowest(pose):
+        bottoms = []
+        for h, hand in enumerate(hands):
+            points = hand_points(hand, pose.joints[h], pose.position[:, h], pose.quat_wxyz[:, h])
+            bottoms.append((points.sphere[..., 2] - hand.sphere_radius).min(axis=1))
+        return np.min(bottoms, axis=0) + height
+
+    assert np.min(lowest(free.grasp)) < -0.005, "the table must matter in this test"
+    assert np.min(lowest(found.grasp)) > -0.004
+
+
+def test_the_squeeze_without_torques_is_the_papers():
+    """2 G - G_pre: by hand, a hand that moved by d and turned by r goes on by d and r."""
+    hands = load_hands("capsule")
+    rng = np.random.default_rng(0)
+    joints = [rng.uniform(0, 1, (2, 3, len(h.joint_names))) for h in hands]
+    turn = random_quat(rng, (3, 2))
+    small = np.tile([np.cos(0.1), np.sin(0.1), 0, 0], (3, 2, 1))
+    pre = Pose(rng.standard_normal((3, 2, 3)), turn, (joints[0][0], joints[1][0]))
+    grasp = Pose(pre.position + 0.01, quat_multiply(small, turn), (joints[0][1], joints[1][1]))
+    zero = [np.zeros((3, h.coupling.shape[1])) for h in hands]
+    target = squeeze(pre, grasp, zero, hands, StagingConfig())
+    np.testing.assert_allclose(target.position, grasp.position + 0.01)
+    assert np.all(quat_angle(target.quat_wxyz, quat_multiply(small, grasp.quat_wxyz)) < 1e-9)
+    for h in range(2):
+        np.testing.assert_allclose(target.joints[h], 2 * grasp.joints[h] - pre.joints[h])
+
+
+def test_torques_do_the_work_of_the_forces(body, hands):
+    """J^T f . du = f . dc for small changes of the joints, by the float64 kinematics."""
+    found = optimise(body, hands, facing_start(hands, 3), short())
+    rng = np.random.default_rng(5)
+    forces = rng.standard_normal((3, 2, found.points.shape[2], 3))
+    torques = joint_torques(found.workspace, forces)
+    for h, hand in enumerate(hands):
+        du = rng.standard_normal(hand.coupling.shape[1]) * 1e-6
+        ends = [
+            hand_points(
+                hand,
+                found.grasp.joints[h] + sign * hand.coupling @ du,
+                found.grasp.position[:, h],
+                found.grasp.quat_wxyz[:, h],
+            ).contact
+            for sign in (1, -1)
+        ]
+        work = np.sum(forces[:, h] * (ends[0] - ends[1]) / 2, axis=(1, 2))
+        np.testing.assert_allclose(torques[h] @ du, work, rtol=1e-3, atol=1e-9)
+
+
+def test_each_hand_presses_as_hard_as_the_weight_asks(body, hands):
+    found = optimise(body, hands, facing_start(hands, 4), OptimiseConfig())
+    forces = contact_forces(found.workspace, ClosureConfig(), 150)
+    mass = np.array([0.0, 0.01, 0.1, 1.0])
+    scale = force_scales(forces.forces, found.normals_in, mass, 3.0, 8.0)
+    pressed = np.sum(forces.forces * found.normals_in, axis=(2, 3)) * scale
+    np.testing.assert_allclose(pressed, np.tile([[3.0], [3.0], [7.84], [78.4]], (1, 2)), rtol=1e-5)
+    assert np.all(forces.residual >= 0)
+
+
+def test_the_step_rule_is_adam_with_shared_moments(hands, body):
+    """Two steps by hand in float64."""
+    start = facing_start(hands, 3)
+    ws = allocate(body, hands, start, np.full(3, 0.15))
+    rule = AdamConfig(beta1=0.9, beta2=0.95, final_fraction=0.5)
+    phase = PhaseConfig(
+        steps=2, distance=0.0, step_position=0.002, step_rotation=0.02, step_joints=0.03
+    )
+    move = chain.adam(ws, rule, phase)[0]
+    rng = np.random.default_rng(1)
+    free = hands[0].coupling.shape[1]
+    gradients = rng.standard_normal((2, 3, 6 + free)).astype(np.float32)
+    m, v = np.zeros((3, 6 + free)), np.zeros((3, 2 + free))
+    p, u = start.position[:, 0].copy(), read_pose(ws, hands).joints[0]
+    first = ws.hands[0].joints.numpy().astype(float)
+    lower, upper = ws.hands[0].model.free_lower.numpy(), ws.hands[0].model.free_upper.numpy()
+    for i, g in enumerate(gradients):
+        ws.hands[0].points.gradient.assign(g)
+        move(i)
+        m = 0.9 * m + 0.1 * g
+        squares = np.concatenate(
+            [np.sum(g[:, :3] ** 2, 1)[:, None], np.sum(g[:, 3:6] ** 2, 1)[:, None], g[:, 6:] ** 2],
+            1,
+        )
+        v = 0.95 * v + 0.05 * squares
+        m_hat, v_hat = m / (1 - 0.9 ** (i + 1)), v / (1 - 0.95 ** (i + 1))
+        fraction = (1.0, 0.5)[i]
+        p = p - 0.002 * fraction * m_hat[:, :3] / np.sqrt(v_hat[:, :1])
+        first = np.clip(
+            first - 0.03 * fraction * m_hat[:, 6:] / np.sqrt(v_hat[:, 2:]), lower, upper
+        )
+    np.testing.assert_allclose(ws.hands[0].position.numpy(), p, atol=1e-6)
+    np.testing.assert_allclose(ws.hands[0].joints.numpy(), first, atol=1e-5)
+    R = ws.hands[0].rotation.numpy()
+    np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.tile(np.eye(3), (3, 1, 1)), atol=1e-5)
+    assert u.shape == (3, len(hands[0].joint_names))
