@@ -22,9 +22,11 @@ from bidexdata.cli.info import info
 from bidexdata.cli.names import hands, presets, protocols
 from bidexdata.cli.pack import pack
 from bidexdata.cli.prepare import prepare
+from bidexdata.cli.render import render
 from bidexdata.cli.synth import synth
 from bidexdata.cli.validate import validate
 from bidexdata.cli.verify import verify
+from bidexdata.cli.view import view
 from bidexdata.errors import BidexError
 
 INTERRUPTED = 130
@@ -36,6 +38,8 @@ COMMANDS = {
     "synth": synth,
     "validate": validate,
     "pack": pack,
+    "view": view,
+    "render": render,
     "info": info,
     "verify": verify,
     "hands": hands,

@@ -1,0 +1,304 @@
+"""A real tiny run through the command line: workers, kills, growth, damage and other settings.
+
+Three built-in shapes at one size with the built-in hand, few attempts and few optimiser steps: one
+task is a few seconds.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bidexdata import BiDexDataset, Run
+from bidexdata.cli.main import COMMANDS, run
+from bidexdata.record.fields import columns_written_by
+from bidexdata.runs.shards import done_tasks
+
+ROOT = Path(__file__).resolve().parents[2]
+ENV = {**os.environ, "PYTHONPATH": str(ROOT)}
+OPTIONS = (
+    *("--hand", "capsule", "--sizes", "0.3", "--grasps", "2", "--candidates", "4"),
+    *("--set", "regions.anchors=60", "--set", "optimise.approach.steps=40"),
+)
+TASKS = 3
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    """All shards, plan and header of a run: what must not depend on how it was made."""
+    kept = [p for p in folder.rglob("*") if p.is_file() and "logs" not in p.parts]
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in kept}
+
+
+def start(*arguments: str | Path) -> subprocess.Popen:
+    command = [sys.executable, "-m", "bidexdata.cli", *map(str, arguments)]
+    return subprocess.Popen(command, env=ENV, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+
+
+def kill_after_first_shard(stage_folder: Path, *arguments: str | Path) -> None:
+    """Start a command with one worker and end it with SIGKILL when the first shard is there."""
+    process = start(*arguments, "--workers", "1")
+    end = time.monotonic() + 120
+    while not done_tasks(stage_folder) and time.monotonic() < end and process.poll() is None:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert 1 <= len(done_tasks(stage_folder)) < TASKS, "the kill came too late or too early"
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("pipeline") / "library"
+    sources = "shapes:box,cylinder,sphere"
+    assert run(["prepare", sources, "--out", str(folder), "--workers", "2", "--quiet"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(library: Path) -> Path:
+    """A run that nothing disturbed, made and validated with two workers."""
+    folder = library.parent / "whole"
+    options = [*OPTIONS, "--workers", "2", "--quiet"]
+    assert run(["synth", str(library), "--out", str(folder), *options]) == 0
+    assert run(["validate", str(folder), "--workers", "2", "--quiet"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def release(whole: Path) -> Path:
+    folder = whole.parent / "release"
+    names = ["--name", "tiny", "--version", "1.0.0"]
+    assert run(["pack", str(whole), "--out", str(folder), *names, "--quiet"]) == 0
+    return folder
+
+
+def test_a_run_holds_what_was_asked_for(whole: Path):
+    made = Run.open(whole)
+    assert len(made.tasks) == TASKS
+    assert made.verdict_tests() == [("paper-1", "f")]
+    for batch in made.batches("paper-1", "f"):
+        assert set(columns_written_by("synth")) <= set(batch.columns)
+        assert set(columns_written_by("validate")) <= set(batch.columns)
+        assert int(batch["audit"].sum()) == 2
+        assert int(batch["selected"].sum()) <= 2
+        assert np.all(batch["selected"] | batch["audit"])
+        assert {sum(c.values()) for c in batch.header.counts.values()} == {4}
+        assert batch.header.fingerprints["run"] == made.fingerprint
+
+
+@pytest.mark.parametrize("executor", ["inline", "processes"])
+def test_one_worker_and_two_give_the_same_bytes(whole: Path, library: Path, executor: str):
+    folder = library.parent / f"one-{executor}"
+    options = [*OPTIONS, "--workers", "1", "--executor", executor, "--quiet"]
+    assert run(["synth", str(library), "--out", str(folder), *options]) == 0
+    made, wanted = files_of(folder), files_of(whole)
+    assert made == {k: v for k, v in wanted.items() if not k.startswith("validate")}
+
+
+def test_parts_of_several_machines_give_the_same_bytes(whole: Path, library: Path):
+    folder = library.parent / "parts"
+    for part in ("1/2", "0/2"):
+        options = [*OPTIONS, "--executor", "inline", "--shard", part, "--quiet"]
+        assert run(["synth", str(library), "--out", str(folder), *options]) == 0
+    assert run(["validate", str(folder), "--executor", "inline", "--quiet"]) == 0
+    assert files_of(folder) == files_of(whole)
+
+
+def test_killed_synth_and_validate_resume_to_the_bytes_of_an_undisturbed_run(
+    whole: Path, library: Path
+):
+    folder = library.parent / "killed"
+    synth = ("synth", library, "--out", folder, *OPTIONS)
+    kill_after_first_shard(folder / "synth", *synth)
+    assert start(*synth).wait(300) == 0
+    validate = ("validate", folder)
+    kill_after_first_shard(folder / "validate" / "paper-1" / "f", *validate)
+    assert start(*validate).wait(300) == 0
+    assert files_of(folder) == files_of(whole)
+
+
+def test_ctrl_c_ends_the_workers_and_leaves_a_run_to_go_on_with(library: Path):
+    folder = library.parent / "interrupted"
+    process = start("synth", library, "--out", folder, *OPTIONS, "--workers", "1")
+    end = time.monotonic() + 120
+    while not (folder / "run.json").exists() and time.monotonic() < end:
+        time.sleep(0.01)
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 130
+    assert len(Run.open(folder).tasks) == TASKS
+    assert not list(folder.rglob("*.tmp"))
+
+
+def test_grasps_may_grow_and_old_shards_stay(whole: Path, library: Path):
+    folder = library.parent / "grown"
+    subprocess.run(["cp", "-r", whole, folder], check=True)
+    before = files_of(folder)
+    options = [*OPTIONS, "--executor", "inline", "--quiet"]
+    options[options.index("--grasps") + 1] = "3"
+    options[options.index("--candidates") + 1] = "7"
+    assert run(["synth", str(library), "--out", str(folder), *options]) == 0
+    after = files_of(folder)
+    shards = {k: v for k, v in before.items() if k.endswith(".arrow")}
+    assert {k: after[k] for k in shards} == shards
+    grown = Run.open(folder)
+    assert len(grown.tasks) == 2 * TASKS
+    assert (grown.spec.grasps, grown.spec.candidates) == (3, 7)
+    assert grown.fingerprint == Run.open(whole).fingerprint
+    for object_id in grown.object_ids:
+        batch = grown.object_batch(object_id)
+        assert batch is not None
+        assert int(batch["audit"].sum()) == 3
+        assert len(set(batch["grasp_id"].tolist())) == len(batch)
+        assert len(set(batch["attempt"].tolist())) == len(batch)
+        assert batch["attempt"].max() < 7
+        assert {sum(c.values()) for c in batch.header.counts.values()} == {7}
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (["--seed", "1"], "seed: 0 -> 1"),
+        (["--sizes", "0.3,0.5"], "sizes_mm"),
+        (["--grasps", "1"], "grasps: 2 -> 1"),
+        (["--set", "optimise.approach.steps=41"], "config.optimise.approach.steps: 40 -> 41"),
+        (["--preset", "paper"], "config."),
+    ],
+)
+def test_another_configuration_gives_5_and_names_the_keys(
+    whole: Path,
+    library: Path,
+    change: list[str],
+    named: str,
+    capsys: pytest.CaptureFixture,
+):
+    before = files_of(whole)
+    assert run(["synth", str(library), "--out", str(whole), *OPTIONS, *change]) == 5
+    err = capsys.readouterr().err
+    assert named in err
+    assert len(err.strip().splitlines()) == 1
+    assert files_of(whole) == before
+
+
+def test_an_unknown_hand_gives_3_and_lists_the_known(
+    library: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+):
+    out = tmp_path / "run"
+    assert run(["synth", str(library), "--out", str(out), "--hand", "shadwo"]) == 3
+    err = capsys.readouterr().err
+    assert "shadow" in err
+    assert "capsule" in err
+    assert not out.exists()
+
+
+def test_a_test_that_the_setting_does_not_allow_gives_3(whole: Path, capsys):
+    assert run(["validate", str(whole), "--tests", "a"]) == 3
+    assert "'a'" in capsys.readouterr().err
+
+
+def test_the_same_release_comes_out_of_an_equal_run(whole: Path, release: Path, tmp_path: Path):
+    again = tmp_path / "release"
+    names = ["--name", "tiny", "--version", "1.0.0"]
+    assert run(["pack", str(whole), "--out", str(again), *names, "--quiet"]) == 0
+    assert files_of(again) == files_of(release)
+
+
+def test_a_release_passes_verify_and_loads_as_tensors(release: Path):
+    assert run(["verify", str(release), "--quiet"]) == 0
+    rows = sum(len(BiDexDataset(release, split=s)) for s in ("train", "test"))
+    made = Run.open(release.parent / "whole")
+    assert rows == sum(int(b["selected"].sum()) for b in made.batches())
+
+
+def test_one_flipped_byte_gives_4_and_names_the_file(
+    release: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+):
+    damaged = tmp_path / "damaged"
+    subprocess.run(["cp", "-r", release, damaged], check=True)
+    victim = sorted((damaged / "grasps").glob("*.parquet"))[0]
+    data = bytearray(victim.read_bytes())
+    data[len(data) // 2] ^= 1
+    victim.write_bytes(data)
+    assert run(["verify", str(damaged)]) == 4
+    assert victim.name in capsys.readouterr().err
+
+
+def test_a_damaged_shard_gives_4_and_a_deleted_one_is_made_again(
+    whole: Path, library: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+):
+    folder = library.parent / "damaged"
+    subprocess.run(["cp", "-r", whole, folder], check=True)
+    before = files_of(folder)
+    victim = next((folder / "synth").rglob("*.arrow"))
+    victim.write_bytes(victim.read_bytes()[:-100])
+    assert run(["info", str(folder)]) == 4
+    assert victim.name in capsys.readouterr().err
+    victim.unlink()
+    options = [*OPTIONS, "--executor", "inline", "--quiet"]
+    assert run(["synth", str(library), "--out", str(folder), *options]) == 0
+    assert files_of(folder) == before
+
+
+def test_a_release_is_tested_again_into_a_run_of_its_own(
+    whole: Path, release: Path, tmp_path: Path
+):
+    before = files_of(release)
+    out = release.parent / "retest"
+    assert run(["validate", str(release)]) == 3
+    arguments = ["validate", str(release), "--out", str(out), "--executor", "inline", "--quiet"]
+    assert run(arguments) == 0
+    assert files_of(release) == before
+    verdicts = [
+        {
+            str(i): bool(s)
+            for b in Run.open(path).batches("paper-1", "f")
+            for i, s in zip(b["grasp_id"], b["success"], strict=True)
+        }
+        for path in (whole, out)
+    ]
+    assert verdicts[0] == verdicts[1]
+
+
+@pytest.mark.parametrize("kind", ["library", "whole", "release"])
+def test_info_says_what_it_is_and_json_has_the_documented_keys(
+    kind: str, request: pytest.FixtureRequest, capsys: pytest.CaptureFixture
+):
+    path = request.getfixturevalue(kind)
+    capsys.readouterr()
+    assert run(["info", str(path)]) == 0
+    assert ("run" if kind == "whole" else kind) in capsys.readouterr().out
+    assert run(["info", str(path), "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    documented = set(re.findall(r"\w+", COMMANDS["info"].__doc__ or ""))
+    assert set(data) <= documented
+    if kind != "library":
+        assert data["figures"]["n"] > 0
+        assert data["figures"]["tests"]["f"]["unselected"]["n"] == 2 * TASKS
+
+
+@pytest.mark.parametrize("name", ["prepare", "synth", "validate"])
+def test_a_finished_command_repeats_at_once_and_its_json_has_the_documented_keys(
+    name: str, whole: Path, library: Path, capsys: pytest.CaptureFixture
+):
+    arguments = {
+        "prepare": ["prepare", "shapes:box,cylinder,sphere", "--out", str(library)],
+        "synth": ["synth", str(library), "--out", str(whole), *OPTIONS],
+        "validate": ["validate", str(whole)],
+    }[name]
+    before = files_of(whole)
+    capsys.readouterr()
+    assert run([*arguments, "--json", "--quiet"]) == 0
+    out, err = capsys.readouterr()
+    data = json.loads(out)
+    assert err == ""
+    assert data["next"].startswith("bidexdata ")
+    assert set(data) <= set(re.findall(r"\w+", COMMANDS[name].__doc__ or "")) | {"next"}
+    assert files_of(whole) == before
