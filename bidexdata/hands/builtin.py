@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from bidexdata.config import from_plain, load_yaml
 from bidexdata.errors import BadConfig
@@ -241,13 +241,12 @@ def _padded(values: list[float]) -> NDArray[np.float64]:
     return np.concatenate([values, np.zeros(10 - len(values))])
 
 
-def _vector(v: ArrayLike, side: Side) -> NDArray[np.float64]:
+def _vector(v: tuple[float, ...], side: Side) -> NDArray[np.float64]:
     return np.asarray(v, np.float64) * (_MIRROR if side == "left" else 1.0)
 
 
-def _axis(a: ArrayLike, side: Side) -> NDArray[np.float64]:
-    a = np.asarray(a, np.float64)
-    return -a * _MIRROR if side == "left" else a
+def _axis(a: Vector, side: Side) -> NDArray[np.float64]:
+    return np.asarray(a, np.float64) * (-_MIRROR if side == "left" else 1.0)
 
 
 def _volume(shape: Shape) -> float:

@@ -60,7 +60,7 @@ def _random_postures(hand: Hand) -> FloatArray:
     return hand.joint_lower + share * (hand.joint_upper - hand.joint_lower)
 
 
-def _gap(hand: Hand, joints: FloatArray, a: IntArray, b: IntArray) -> FloatArray:
+def _gap(hand: Hand, joints: FloatArray, a: np.ndarray, b: np.ndarray) -> FloatArray:
     """Gaps between spheres a and b in each posture [m], (n, pairs)."""
     centre = hand_points(hand, joints).sphere
     apart = np.linalg.norm(centre[:, a] - centre[:, b], axis=-1)

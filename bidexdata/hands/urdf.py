@@ -9,7 +9,6 @@ from __future__ import annotations
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from bidexdata.frames import matrix_from_quat
 from bidexdata.hands.model import FloatArray, Hand
@@ -29,7 +28,8 @@ def hand_urdf(hand: Hand) -> str:
 def _add_joint(robot: ElementTree.Element, hand: Hand, body: int) -> None:
     index = hand.body_joint[body]
     name = hand.body_names[body]
-    kind, joint_name = ("revolute", hand.joint_names[index]) if index >= 0 else ("fixed", f"{name}_fixed")  # fmt: skip
+    kind = "revolute" if index >= 0 else "fixed"
+    joint_name = hand.joint_names[index] if index >= 0 else f"{name}_fixed"
     joint = ElementTree.SubElement(robot, "joint", name=joint_name, type=kind)
     ElementTree.SubElement(joint, "parent", link=hand.body_names[hand.body_parent[body]])
     ElementTree.SubElement(joint, "child", link=name)
@@ -52,5 +52,5 @@ def roll_pitch_yaw(R: FloatArray) -> FloatArray:
     return np.array([np.arctan2(R[2, 1], R[2, 2]), pitch, np.arctan2(R[1, 0], R[0, 0])])
 
 
-def _text(values: ArrayLike) -> str:
-    return " ".join(repr(float(v)) for v in np.asarray(values))
+def _text(values: FloatArray) -> str:
+    return " ".join(repr(float(v)) for v in values)

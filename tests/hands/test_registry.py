@@ -1,0 +1,178 @@
+"""Names, specs and what goes wrong with them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+
+from bidexdata.errors import BadConfig, NotUsable, PathNotFound, UnknownKey, UnknownName
+from bidexdata.hands import hand_names, load_hand, load_hands, registry
+from bidexdata.hands.source import load_model
+from bidexdata.hands.urdf import hand_urdf
+
+SPECS = Path(registry.__file__).parent / "specs"
+
+
+def test_names_list_the_shipped_hands():
+    assert hand_names() == ("capsule", "shadow")
+    for name in hand_names():
+        spec = registry.hand_spec(name)
+        assert spec.name == name
+        assert set(spec.sides) == {"left", "right"}
+
+
+def test_unknown_hand_lists_the_names():
+    with pytest.raises(UnknownName, match="known: capsule, shadow") as caught:
+        load_hand("shadwo", "left")
+    assert caught.value.exit_code == 3
+    assert "did you mean 'shadow'" in str(caught.value)
+    with pytest.raises(UnknownName, match=r"no\.yaml"):
+        load_hand("no.yaml", "left")
+
+
+def test_one_name_or_two_give_left_and_right():
+    left, right = load_hands("capsule")
+    assert (left.side, right.side) == ("left", "right")
+    assert load_hands("capsule, capsule") == (left, right)
+    for wrong in ("", "capsule,", "capsule,capsule,capsule"):
+        with pytest.raises(BadConfig):
+            load_hands(wrong)
+
+
+def test_missing_menagerie_names_the_variable_and_the_way_out(tmp_path, monkeypatch):
+    monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path))
+    with pytest.raises(NotUsable, match="MENAGERIE_ROOT") as caught:
+        load_model(registry.hand_spec("shadow"), "right", SPECS)
+    text = str(caught.value)
+    assert "--hand capsule" in text
+    assert "\n" not in text
+
+
+def test_header_carries_what_files_need(hand):
+    header = hand.header()
+    assert header.joint_names == hand.joint_names
+    assert header.contact_names == ("ff", "mf", "rf", "lf", "th")
+    assert header.root_body.endswith("palm")
+    assert len(header.spec_hash) == 64
+
+
+def test_palm_is_the_root_and_nothing_above_it_remains(hand):
+    model = hand.make_spec().compile()
+    assert hand.root_body == ("lh_palm" if hand.side == "left" else "rh_palm")
+    assert (model.nq, model.nu, model.nbody) == (22, 18, 24)
+    assert hand.body_joint[0] == -1
+    assert hand.coupling.shape == (22, 18)
+    assert not any("WRJ" in n for n in (*hand.joint_names, *hand.actuator_names))
+    np.testing.assert_array_equal(model.body_pos[1], 0)
+    np.testing.assert_array_equal(model.body_quat[1], [1, 0, 0, 0])
+
+
+def test_specs_are_fresh_and_attach_to_a_scene(hands):
+    scene = mujoco.MjSpec()
+    scene.option.cone, scene.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10
+    for hand in hands:
+        first, second = hand.make_spec(), hand.make_spec()
+        assert first is not second
+        first.body(hand.root_body).add_freejoint()
+        scene.attach(first, prefix=f"{hand.side}/", frame=scene.worldbody.add_frame())
+    model = scene.compile()
+    assert model.nq == 2 * (7 + 22)
+    assert model.nu == 36
+    assert hands[0].make_spec().compile().nq == 22
+
+
+def test_another_process_gives_the_same_hand_to_the_bit(hands):
+    code = (
+        "import sys; from bidexdata.hands import load_hands;"
+        "print(*(x for h in load_hands(sys.argv[1]) for x in"
+        " (h.spec_hash, h.sphere_pos.tobytes().hex(), h.self_pairs.tobytes().hex())))"
+    )
+    command = [sys.executable, "-c", code, hands[0].name]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    expected = [
+        text
+        for h in hands
+        for text in (h.spec_hash, h.sphere_pos.tobytes().hex(), h.self_pairs.tobytes().hex())
+    ]
+    assert done.stdout.split() == expected
+
+
+def test_spec_hash_ignores_comments_and_sees_values(tmp_path):
+    original = load_hand("capsule", "right")
+    text = (SPECS / "capsule.yaml").read_text()
+    (tmp_path / "capsule_links.yaml").write_text((SPECS / "capsule_links.yaml").read_text())
+    commented, changed = tmp_path / "a.yaml", tmp_path / "b.yaml"
+    commented.write_text("# another comment\n" + text)
+    changed.write_text(text.replace("radius: 0.007,", "radius: 0.0071,"))
+    assert load_hand(commented, "right").spec_hash == original.spec_hash
+    assert load_hand(changed, "right").spec_hash != original.spec_hash
+
+
+def test_a_users_spec_may_name_an_mjcf_file(tmp_path):
+    (tmp_path / "hand.xml").write_text(
+        """<mujoco><worldbody><body name="arm"><joint name="elbow" range="-1 1" axis="0 1 0"/>
+        <geom size="0.02"/><body name="palm" pos="0 0 0.1" euler="0 30 0">
+        <joint name="wrist" range="-1 1"/><geom type="box" size=".03 .01 .03"/>
+        <body name="tip" pos="0 0 .03"><joint name="bend" range="0 90" axis="1 0 0"/>
+        <geom type="capsule" fromto="0 0 .01 0 0 .04" size=".008"/></body></body></body></worldbody>
+        <actuator><position joint="wrist"/><position name="b" joint="bend" kp="2"/></actuator>
+        </mujoco>"""
+    )
+    spec = {
+        "name": "finger", "description": "one finger", "licence": "Apache-2.0",
+        "sides": {"right": {"source": "hand.xml"}}, "written_for": "right", "root": "palm",
+        "fingers": {"f": ["tip"]}, "coupled": {}, "postures": {"open": {"bend": 0.1}, "curved": {}},
+        "contacts": [{"name": "f", "finger": "f", "body": "tip", "pos": [0, 0, 0.04],
+                      "radius": 0.008, "normal": [0, -1, 0]}],
+        "palm_frame": {"pos": [0, -0.01, 0], "x": [0, 0, 1], "z": [0, -1, 0]},
+    }  # fmt: skip
+    path = tmp_path / "finger.yaml"
+    path.write_text(yaml.safe_dump(spec))
+    hand = load_hand(path, "right")
+    assert hand.body_names == ("palm", "tip")
+    assert hand.joint_names == ("bend",)
+    assert hand.actuator_names == ("b",)
+    assert hand.joint_upper[0] == pytest.approx(np.pi / 2, abs=1e-5)  # MJCF text has six digits
+    with pytest.raises(BadConfig, match="no left side"):
+        load_hand(path, "left")
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "says"),
+    [
+        ({"colour": "red"}, UnknownKey, "colour"),
+        ({"root": "elbow"}, BadConfig, "no body 'rh_elbow'"),
+        ({"written_for": "up"}, BadConfig, "left, right"),
+        ({"coupled": {"FFJ1": "XXJ2"}}, BadConfig, "XXJ2"),
+        ({"coupled": {"FFJ1": "FFJ2", "FFJ2": "FFJ3"}}, BadConfig, "itself follows"),
+        ({"postures": {"open": {"FFJ3": 3.0}, "curved": {}}}, BadConfig, "outside its limits"),
+        ({"fingers": {"ff": ["ffdistal"]}}, BadConfig, "finger"),
+        ({"exclude_contacts": [["palm", "nose"]]}, BadConfig, "nose"),
+        ({"spheres": {"slack": 0.4, "gap": 1}}, UnknownKey, "gap"),
+        ({"palm_frame": {"pos": [0, 0, 0], "x": [1, 0, 0], "z": [1, 0, 0]}}, BadConfig, "perpend"),
+        ({"sides": {"right": {"source": "gone.xml"}}}, PathNotFound, r"gone\.xml"),
+        ({"contacts": None}, BadConfig, "contacts"),
+    ],
+)
+def test_an_impossible_spec_is_one_sentence(tmp_path, change, error, says):
+    (tmp_path / "capsule_links.yaml").write_text((SPECS / "capsule_links.yaml").read_text())
+    data = yaml.safe_load((SPECS / "capsule.yaml").read_text()) | change
+    path = tmp_path / "bad.yaml"
+    path.write_text(yaml.safe_dump({k: v for k, v in data.items() if v is not None}))
+    with pytest.raises(error, match=says):
+        load_hand(path, "right")
+
+
+def test_urdf_has_a_link_per_body_and_reads_back(hand):
+    from xml.etree import ElementTree
+
+    robot = ElementTree.fromstring(hand_urdf(hand))
+    assert [link.get("name") for link in robot.findall("link")] == list(hand.body_names)
+    moving = [j.get("name") for j in robot.findall("joint") if j.get("type") == "revolute"]
+    assert moving == list(hand.joint_names)
