@@ -38,6 +38,9 @@ class BiDexDataset:
     `cloud=None`, the object's points at the grasp's size [m]. Loads selected rows unless told
     otherwise; selected rows are better than what the generator makes on average.
 
+    A field `suc_*` is False also where the test was not run: choose tested rows by
+    `where="suc_f or not suc_f"`.
+
     Use `DataLoader(data, batch_size=256, shuffle=True, collate_fn=collate)`. Reading is fast:
     workers only pay off for heavy transforms of your own; start them with
     `multiprocessing_context="spawn"`.
@@ -84,9 +87,6 @@ class BiDexDataset:
         self.fields = tuple(fields) if fields is not None else DEFAULT_FIELDS
         self.cloud, self.points = cloud, points
         self._open()
-        stored = self.points if self._cloud is None else self._cloud.shape[1]
-        if self.points > stored:
-            raise BadConfig(f"points={self.points}, but the release stores {stored} per object")
         log.info("%r", self)
 
     def __len__(self) -> int:
@@ -171,7 +171,13 @@ class BiDexDataset:
         self._values = mapped or hdf5.read_values(root, self.configuration, self.split)
         self._cloud = None
         if self.cloud is not None:
-            self._cloud = self.release.cloud(self.cloud)
+            stored = self.release.cloud(self.cloud)
+            if self.points > stored.shape[1]:
+                raise BadConfig(
+                    f"points={self.points}, but the release stores {stored.shape[1]} per object"
+                )
+            # Contiguous, because np.take copies the whole of anything else.
+            self._cloud = np.ascontiguousarray(stored[:, : self.points])
 
     def _scalar_columns(self) -> list[str]:
         import pyarrow as pa
@@ -215,7 +221,7 @@ class BiDexDataset:
 
     def _clouds(self, rows: np.ndarray, objects: np.ndarray, block: np.ndarray) -> np.ndarray:
         assert self._cloud is not None
-        cloud = np.asarray(np.take(self._cloud[:, : self.points], objects, axis=0))
+        cloud = np.asarray(np.take(self._cloud, objects, axis=0))
         cloud *= (self._size_mm[rows] / 1000).astype(np.float32)[:, None, None]
         if self._moved and self.frame == "world":
             pos, quat = (self._column(block, n) for n in _POSE_OF_OBJECT)

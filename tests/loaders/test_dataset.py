@@ -213,3 +213,15 @@ def test_a_sampler_drives_it(floating):
     ]
     expected = np.random.default_rng([1, 0]).permutation(len(data))
     assert ids == [data[int(i)]["grasp_id"] for i in expected]
+
+
+def test_fewer_points_are_the_first_of_the_stored_ones(floating):
+    few, many = (BiDexDataset(floating, points=n)[0]["cloud_solid"] for n in (16, 1024))
+    assert torch.equal(few, many[:16])
+
+
+def test_untested_rows_can_be_left_out(tmp_path):
+    out = made_release(tmp_path / "r", OBJECTS[:1], tested=False)
+    assert not BiDexDataset(out, fields=("suc_f",), cloud=None)[0]["suc_f"]
+    assert len(BiDexDataset(out, where="suc_f or not suc_f")) == 0
+    assert len(BiDexDataset(out)) == PER_SCENE * len(SIZES)
