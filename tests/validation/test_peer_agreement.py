@@ -21,7 +21,8 @@ from bidexdata.validation.force_closure import force_closure
 from bidexdata.validation.metrics import grasp_metrics
 from bidexdata.validation.stages import Grasp
 
-ROOT_TO_PALM = np.array([0.0, 0.0, 0.034])  # its poses are those of a frame 34 mm below the palm body
+# its poses are those of a frame 34 mm below the palm body
+ROOT_TO_PALM = np.array([0.0, 0.0, 0.034])
 LOAD = 1.0  # [N]
 DEPTH_TOLERANCE = 1e-5  # [m]; its own two MuJoCo versions differ by as much
 
