@@ -46,9 +46,10 @@ def demo(
         "seconds": report.seconds,
         **report.figures,
     }
-    passed = report.figures["tests"]["f"]["by_verdict"].get("ok", 0)
+    verdicts = report.figures["tests"]["f"]["by_verdict"]
+    passed, validated = verdicts.get("ok", 0), sum(verdicts.values()) - verdicts.get("not_run", 0)
     lines = [
-        f"{report.figures['n']} grasps synthesised and stored, {passed} pass the test",
+        f"{report.figures['n']} grasps synthesised, {validated} validated, {passed} pass the test",
         *figure_lines(report.figures, PROTOCOL),
         "took " + ", ".join(f"{name} {s:.0f} s" for name, s in report.seconds.items()),
         f"pictures: open {report.sheet}",
