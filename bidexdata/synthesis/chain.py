@@ -166,6 +166,8 @@ def _adam_of(
     launch = _launch(ws, adam_step, (ws.count,), arguments)
 
     def step(i: int) -> None:
+        if not launch:
+            return
         done = i / max(phase.steps - 1, 1)
         values = (
             1.0 - (1.0 - rule.final_fraction) * done,
@@ -180,7 +182,9 @@ def _adam_of(
 
 
 def _record(ws: Workspace, kernel: Any, dim: tuple[int, ...], arguments: list[Any]) -> Call:
-    return _launch(ws, kernel, dim, arguments).launch
+    launch = _launch(ws, kernel, dim, arguments)
+    # Warp records nothing for a batch without grasps.
+    return launch.launch if launch else lambda: None
 
 
 def _launch(ws: Workspace, kernel: Any, dim: tuple[int, ...], arguments: list[Any]) -> Any:

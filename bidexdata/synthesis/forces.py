@@ -50,7 +50,7 @@ def contact_forces(ws: Workspace, closure: ClosureConfig, iterations: int) -> Co
     return ContactForces(
         residual=residual[:, 2],
         residual_hand=residual[:, :2],
-        forces=forces.reshape(ws.count, 2, -1, 3),
+        forces=forces.reshape(ws.count, 2, forces.shape[1] // 2, 3),
     )
 
 
@@ -87,7 +87,7 @@ def joint_torques(
     import warp as wp
 
     c = ws.contacts
-    flat = np.ascontiguousarray(forces.reshape(ws.count, -1, 3), np.float32)
+    flat = np.ascontiguousarray(forces.reshape(c.centres.shape + (3,)), np.float32)
     c.centre_gradient.assign(wp.array(flat, dtype=wp.vec3, device=ws.device))
     c.pad_gradient.zero_()
     for hand in ws.hands:

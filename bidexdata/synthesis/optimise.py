@@ -81,8 +81,8 @@ def optimise(
     _settle(ws, config, config.grasp)
     energies = _evaluate(ws, config)
     grasp = read_pose(ws, hands)
-    shape = (ws.count, 2, -1)
     contacts = ws.contacts
+    shape = (ws.count, 2, contacts.centres.shape[1] // 2)
     gaps = (contacts.distance.numpy() - contacts.radius.numpy()).reshape(shape).copy()
     for h, count in enumerate(ws.contacts_per_hand):
         gaps[:, h, count:] = np.nan

@@ -21,8 +21,8 @@ class Pose(NamedTuple):
 
     def finite(self) -> np.ndarray:
         """Which grasps consist of numbers, (N,)."""
-        parts = [self.position.reshape(len(self.position), -1), *self.joints]
-        return np.all([np.isfinite(p).all(axis=1) for p in parts], axis=0)
+        joints = [np.isfinite(q).all(axis=1) for q in self.joints]
+        return np.isfinite(self.position).all(axis=(1, 2)) & joints[0] & joints[1]
 
     def moved(self, position: Float[np.ndarray, " 3"], quat_wxyz: Float[np.ndarray, " 4"]) -> Pose:
         """The same poses seen from a frame in which their own frame has the given pose."""
