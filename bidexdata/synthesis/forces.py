@@ -87,7 +87,7 @@ def joint_torques(
     import warp as wp
 
     c = ws.contacts
-    flat = np.ascontiguousarray(forces.reshape(c.centres.shape + (3,)), np.float32)
+    flat = np.ascontiguousarray(forces.reshape((*c.centres.shape, 3)), np.float32)
     c.centre_gradient.assign(wp.array(flat, dtype=wp.vec3, device=ws.device))
     c.pad_gradient.zero_()
     for hand in ws.hands:

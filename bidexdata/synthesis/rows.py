@@ -100,7 +100,7 @@ def _pose(
     for s, pose in enumerate((found.pregrasp, found.grasp, staged.squeeze)):
         world = pose.rows(rows).moved(np.array(scene.object_pos), np.array(scene.object_quat_wxyz))
         made["hand_pos"][at, :, s] = world.position
-        made["hand_quat_wxyz"][at, :, s] = world.quat_wxyz
+        made["hand_quat_wxyz"][at, :, s] = quat_canonical(world.quat_wxyz)
         for h, joints in enumerate(world.joints):
             made["joints"][at, h, s, : joints.shape[1]] = joints
 

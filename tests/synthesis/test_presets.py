@@ -90,9 +90,7 @@ def test_every_field_has_a_docstring_with_its_source():
         seen.add(cls)
         body = ast.parse(inspect.getsource(cls)).body[0].body
         texts = {
-            a.target.id: b
-            for a, b in itertools.pairwise(body)
-            if isinstance(a, ast.AnnAssign)
+            a.target.id: b for a, b in itertools.pairwise(body) if isinstance(a, ast.AnnAssign)
         }
         for field in dataclasses.fields(cls):
             default = getattr(SynthConfig(), field.name, None)
