@@ -3,7 +3,7 @@
 The source (Menagerie entry, built-in list of links or MJCF file) is cut down with `MjSpec`: the
 root body moves to the origin of the world, everything above it goes, and so do the actuators,
 tendons and exclusions that referred to it. The result is kept as XML text with its assets, from
-which `make_spec` gives fresh copies.
+which `make_spec` gives fresh copies. The text keeps six digits, and a `Hand` is read from it.
 """
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ def measure_fit(hand: Hand, model: mujoco.MjModel, spacing: float = 0.002) -> Sp
 def _cover(
     shapes: list[Shape], pad_pos: FloatArray, pad_radius: FloatArray, settings: SphereFitSpec
 ) -> tuple[FloatArray, FloatArray]:
-    samples, area = surface_samples(shapes, 1.5 * settings.spacing)
+    samples, area = surface_samples(shapes, 2.0 * settings.spacing)
     centres = _grid_inside(shapes, settings.spacing)
     apart = _gaps(samples, centres, 0.0)
     # To the surface of the union, which lies deeper than any one shape where shapes overlap.
@@ -139,9 +139,9 @@ def _grid_inside(shapes: list[Shape], spacing: float) -> FloatArray:
 
 def _gaps(samples: FloatArray, centres: FloatArray, radius: FloatArray | float) -> FloatArray:
     """Signed distance from each sphere to each sample [m], (spheres, samples)."""
-    squared = (
-        np.sum(centres**2, axis=1)[:, None]
-        - 2 * centres @ samples.T
-        + np.sum(samples**2, axis=1)[None]
-    )
-    return np.sqrt(np.maximum(squared, 0.0)) - np.reshape(radius, (-1, 1))
+    apart = centres @ (-2 * samples.T)
+    apart += np.sum(centres**2, axis=1)[:, None]
+    apart += np.sum(samples**2, axis=1)
+    np.sqrt(np.maximum(apart, 0.0, out=apart), out=apart)
+    apart -= np.reshape(radius, (-1, 1))
+    return apart
