@@ -119,7 +119,7 @@ def read_pose(ws: Workspace, hands: Sequence[Hand]) -> Pose:
         q = np.sum(u[:, None, :] * hand.coupling[None], axis=2)
         joints.append(np.clip(q, hand.joint_lower, hand.joint_upper))
     rotations = np.stack([s.rotation.numpy() for s in ws.hands], axis=1).astype(np.float64)
-    finite = np.isfinite(rotations).all(axis=(-1, -2))
+    finite = np.all(np.isfinite(rotations), axis=(-1, -2))
     quats = quat_from_matrix(np.where(finite[..., None, None], rotations, np.eye(3)))
     position = np.stack([s.position.numpy() for s in ws.hands], axis=1).astype(np.float64)
     position[~finite] = np.nan
@@ -212,20 +212,22 @@ def _evaluate(ws: Workspace, config: OptimiseConfig) -> Energies:
     for h, count in enumerate(ws.contacts_per_hand):
         real[h, :count] = True
 
-    def per_contact(values: Any) -> np.ndarray:
-        kept = np.ascontiguousarray(values.numpy()[:, real.ravel()])
-        return np.sum(kept, axis=1, dtype=np.float64)
+    def per_grasp(values: Any, columns: slice | np.ndarray = slice(None)) -> np.ndarray:
+        # Contiguous rows are summed alike whatever their number.
+        rows = np.ascontiguousarray(values.numpy()[:, columns])
+        return np.asarray(np.sum(rows, axis=tuple(range(1, rows.ndim)), dtype=np.float64))
 
+    depth = [per_grasp(s.sphere_energy) for s in ws.hands]
+    other = [per_grasp(s.other_energy) for s in ws.hands]
     own = [s.self_energy.numpy().astype(np.float64) for s in ws.hands]
-    other = [np.sum(s.other_energy.numpy(), axis=1, dtype=np.float64) for s in ws.hands]
-    depth = [np.sum(s.sphere_energy.numpy(), axis=1, dtype=np.float64) for s in ws.hands]
+    places = real.ravel()
     return Energies(
-        distance=per_contact(c.distance_energy),
-        region=per_contact(c.region_energy),
-        pad=per_contact(c.pad_energy),
+        distance=per_grasp(c.distance_energy, places),
+        region=per_grasp(c.region_energy, places),
+        pad=per_grasp(c.pad_energy, places),
         penetration=depth[0] + depth[1],
         self_penetration=own[0] + own[1] + other[0] + other[1],
-        closure=np.sum(qp.residual.numpy(), axis=(1, 2), dtype=np.float64),
+        closure=per_grasp(qp.residual),
     )
 
 

@@ -21,8 +21,9 @@ class Pose(NamedTuple):
 
     def finite(self) -> np.ndarray:
         """Which grasps consist of numbers, (N,)."""
-        joints = [np.isfinite(q).all(axis=1) for q in self.joints]
-        return np.isfinite(self.position).all(axis=(1, 2)) & joints[0] & joints[1]
+        joints = [np.all(np.isfinite(q), axis=1) for q in self.joints]
+        position = np.all(np.isfinite(self.position), axis=(1, 2))
+        return np.asarray(position & joints[0] & joints[1])
 
     def moved(self, position: Float[np.ndarray, " 3"], quat_wxyz: Float[np.ndarray, " 4"]) -> Pose:
         """The same poses seen from a frame in which their own frame has the given pose."""

@@ -85,10 +85,10 @@ def _identify(
     made["object_id"] = np.full(n, scene.object_id)
     made["size_mm"] = np.full(n, scene.size_mm, np.int32)
     made["setting"] = np.full(n, scene.setting)
-    made["object_pos"] = np.tile(np.float32(scene.object_pos), (n, 1))
+    made["object_pos"] = np.tile(np.array(scene.object_pos, np.float32), (n, 1))
     quat = quat_canonical(np.array(scene.object_quat_wxyz))
-    made["object_quat_wxyz"] = np.tile(np.float32(quat), (n, 1))
-    made["sides"] = np.tile(np.int8([0, 1]), (n, 1))
+    made["object_quat_wxyz"] = np.tile(quat.astype(np.float32), (n, 1))
+    made["sides"] = np.tile(np.array([0, 1], np.int8), (n, 1))
     made["attempt"] = numbers.astype(np.int32)
     made["seed"] = np.full(n, attempts.seed, np.int64)
 
