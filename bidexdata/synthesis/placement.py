@@ -23,7 +23,12 @@ from bidexdata.errors import BadConfig
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import PreparedObject
 from bidexdata.record.scene import Scene
-from bidexdata.synthesis.placement_shapes import StartShape, bare_of, start_shapes, tangent_frames
+from bidexdata.synthesis.placement_shapes import (
+    StartShape,
+    hands_apart,
+    start_shapes,
+    tangent_frames,
+)
 from bidexdata.synthesis.regions import RegionPairs
 from bidexdata.synthesis.regions_build import hull_depth
 
@@ -87,7 +92,7 @@ class PlacementConfig:
 class Placement(NamedTuple):
     """Starts of M attempts; world frame."""
 
-    pair_index: Int[np.ndarray, "M"]
+    pair_index: Int[np.ndarray, " M"]
     """Region pair of each attempt."""
     hand_pos: Float[np.ndarray, "M 2 3"]
     """Origins of the hand frames [m]."""
@@ -95,7 +100,7 @@ class Placement(NamedTuple):
     """Their orientations, wxyz."""
     joints: Float[np.ndarray, "M 2 J"]
     """Start postures [rad]; the shorter hand's rows end in NaN."""
-    ok: Bool[np.ndarray, "M"]
+    ok: Bool[np.ndarray, " M"]
     """Clear of each other and of the table; the poses of the others are their last draw."""
 
 
@@ -121,7 +126,7 @@ def place_palms(
         rng: Draws `config.draws` variations of every attempt, used or not.
         count: M.
     """
-    pair_index = np.arange(count) % min(pairs.count, config.pairs)
+    pair_index = np.arange(count) % min(len(pairs.score), config.pairs)
     lots = rng.random((count, config.draws, 2, _DRAWS))
     centres = pairs.centres[pair_index]
     depth, normal = hull_depth(obj, scene.size, centres.reshape(-1, 3))
@@ -148,7 +153,7 @@ def place_palms(
             )
             pos[todo, h], quat[todo, h] = p, frames.quat_from_matrix(R)
             spheres[h] = [balls, shapes[h][0].sphere_radius]
-        free = bare_of(spheres[0], spheres[1], config.clearance)
+        free = hands_apart(spheres[0], spheres[1], config.clearance)
         if scene.setting == "tabletop":
             free &= _above_table(scene, spheres, config.clearance)
         ok[todo[free]] = True
@@ -162,7 +167,7 @@ def place_palms(
 class _Variation(NamedTuple):
     """What one start draws; in the palm frame."""
 
-    roll: Float[np.ndarray, "n"]
+    roll: Float[np.ndarray, " n"]
     """About the palm normal [rad]."""
     tilt: Float[np.ndarray, "n 3"]
     """Rotation vector in the palm's plane [rad]."""
@@ -186,10 +191,10 @@ def _variation(
 
 def _hang(
     shapes: tuple[StartShape, StartShape],
-    flat: Bool[np.ndarray, "n"],
+    flat: Bool[np.ndarray, " n"],
     over: Float[np.ndarray, "n 3"],
     normal: Float[np.ndarray, "n 3"],
-    direction: Float[np.ndarray, "3"],
+    direction: Float[np.ndarray, " 3"],
     drawn: _Variation,
     config: PlacementConfig,
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n K 3"]]:
@@ -228,7 +233,7 @@ def _hang(
     return palm + R @ T_palm_hand[:3, 3], R @ T_palm_hand[:3, :3], spheres
 
 
-def _preferred(scene: Scene, config: PlacementConfig, side: int) -> Float[np.ndarray, "3"]:
+def _preferred(scene: Scene, config: PlacementConfig, side: int) -> Float[np.ndarray, " 3"]:
     """Preferred direction of a side's fingers in the object frame, unit length."""
     world = np.array(config.left_direction if side == 0 else config.right_direction)
     to_object = frames.quat_conjugate(np.array(scene.object_quat_wxyz))
@@ -237,7 +242,7 @@ def _preferred(scene: Scene, config: PlacementConfig, side: int) -> Float[np.nda
 
 def _above_table(
     scene: Scene, spheres: list[list[np.ndarray]], clearance: float
-) -> Bool[np.ndarray, "n"]:
+) -> Bool[np.ndarray, " n"]:
     """Tell which starts keep all spheres above the table's plane z = 0 of the world."""
     up = frames.matrix_from_quat(np.array(scene.object_quat_wxyz))[2]
     clear = [

@@ -18,17 +18,17 @@ _PARALLEL = 1e-3
 class StartShape(NamedTuple):
     """One hand in one posture, in its palm frame."""
 
-    joints: Float[np.ndarray, "J"]
+    joints: Float[np.ndarray, " J"]
     """[rad]."""
     contacts: Float[np.ndarray, "C 3"]
     """Centres of the contact spheres [m]."""
-    contact_radius: Float[np.ndarray, "C"]
+    contact_radius: Float[np.ndarray, " C"]
     """[m]."""
     spheres: Float[np.ndarray, "K 3"]
     """Centres of the collision spheres [m]."""
-    sphere_radius: Float[np.ndarray, "K"]
+    sphere_radius: Float[np.ndarray, " K"]
     """[m]."""
-    middle: Float[np.ndarray, "3"]
+    middle: Float[np.ndarray, " 3"]
     """The point that hangs over the hull point [m]."""
     T_palm_hand: Float[np.ndarray, "4 4"]
 
@@ -60,7 +60,7 @@ def start_shapes(hand: Hand, over: str) -> tuple[StartShape, StartShape]:
 
 
 def tangent_frames(
-    z: Float[np.ndarray, "n 3"], direction: Float[np.ndarray, "3"]
+    z: Float[np.ndarray, "n 3"], direction: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, "n 3 3"]:
     """Complete unit vectors z to frames whose x is as close to `direction` as it can be.
 
@@ -75,9 +75,9 @@ def tangent_frames(
     return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
-def bare_of(
+def hands_apart(
     left: list[np.ndarray], right: list[np.ndarray], clearance: float
-) -> Bool[np.ndarray, "n"]:
+) -> Bool[np.ndarray, " n"]:
     """Tell which starts keep all spheres of one hand clear of the other's.
 
     Args:

@@ -122,13 +122,8 @@ class RegionPairs(NamedTuple):
     """Mean outward normals, unit length."""
     flatness: Float[np.ndarray, "R 2"]
     """V = 2 (1 - |mean unit normal|): 0 for a plane."""
-    score: Float[np.ndarray, "R"]
+    score: Float[np.ndarray, " R"]
     """Best first: the force score [caps], or minus the QP residual of the torque score."""
-
-    @property
-    def count(self) -> int:
-        """R."""
-        return len(self.score)
 
 
 def select_region_pairs(

@@ -24,7 +24,7 @@ class Regions(NamedTuple):
     normals: Float[np.ndarray, "A k 3"]
     mean_normals: Float[np.ndarray, "A 3"]
     """Unit length."""
-    reach: Float[np.ndarray, "A"]
+    reach: Float[np.ndarray, " A"]
     """Distance of the region's farthest point from its anchor [m]."""
     contact_points: Float[np.ndarray, "A C 3"]
     """Drawn from the region for the scores [m]."""
@@ -71,12 +71,13 @@ def flatness(normals: Float[np.ndarray, "*b k 3"]) -> Float[np.ndarray, "*b"]:
     Source:
         BiDexGrasp, appendix B.
     """
-    return 2.0 * (1.0 - np.linalg.norm(normals.mean(axis=-2, dtype=np.float64), axis=-1))
+    mean = normals.mean(axis=-2, dtype=np.float64)
+    return np.asarray(2.0 * (1.0 - np.linalg.norm(mean, axis=-1)))
 
 
 def accessible_anchors(
     obj: PreparedObject, size: float, regions: Regions, config: RegionConfig
-) -> Bool[np.ndarray, "A"]:
+) -> Bool[np.ndarray, " A"]:
     """Tell which regions a palm outside the convex hull can reach.
 
     The anchor lies close below the hull, and the region faces the same way as the hull there.
@@ -91,7 +92,7 @@ def accessible_anchors(
 
 def hull_depth(
     obj: PreparedObject, size: float, points: Float[np.ndarray, "n 3"]
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
     """Measure how deep points of the object lie below its hull [m], and the nearest face's normal.
 
     For a point inside a convex body the nearest boundary point lies on the nearest face plane.
@@ -102,7 +103,7 @@ def hull_depth(
     return depth[np.arange(len(points)), nearest], normals[nearest]
 
 
-def hull_planes(obj: PreparedObject) -> tuple[Float[np.ndarray, "F 3"], Float[np.ndarray, "F"]]:
+def hull_planes(obj: PreparedObject) -> tuple[Float[np.ndarray, "F 3"], Float[np.ndarray, " F"]]:
     """Give the hull's face planes: outward unit normals and offsets n . x, unit diagonal."""
     corners = obj.hull.vertices[obj.hull.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -118,7 +119,7 @@ def _members(
     normals: Float[np.ndarray, "P 3"],
     count: int,
     config: RegionConfig,
-) -> tuple[Int[np.ndarray, "A k"], Int[np.ndarray, "A"]]:
+) -> tuple[Int[np.ndarray, "A k"], Int[np.ndarray, " A"]]:
     """List the points of each region, and how many of its k places hold different points."""
     import warp as wp
 
@@ -144,7 +145,7 @@ def _members(
 
 
 def _draw(
-    filled: Int[np.ndarray, "A"], contacts: int, rng: np.random.Generator
+    filled: Int[np.ndarray, " A"], contacts: int, rng: np.random.Generator
 ) -> Int[np.ndarray, "A C"]:
     """Draw places of each region without repetition where it holds enough points."""
     lot = rng.random((len(filled), int(filled.max())), np.float32)

@@ -19,7 +19,7 @@ class PairFilter:
     """The pairs (a < b) of usable anchors that may be apart far enough, and the exact test."""
 
     def __init__(
-        self, regions: Regions, usable: Bool[np.ndarray, "A"], gap: float, wide: float
+        self, regions: Regions, usable: Bool[np.ndarray, " A"], gap: float, wide: float
     ) -> None:
         """Bound the gap of every pair by its anchors' distance.
 
@@ -43,7 +43,7 @@ class PairFilter:
         """Candidates: the anchors alone do not rule them out."""
         self._certain = certain[possible]
 
-    def first(self, order: Int[np.ndarray, "n"], need: int) -> Int[np.ndarray, "m"]:
+    def first(self, order: Int[np.ndarray, " n"], need: int) -> Int[np.ndarray, " m"]:
         """Walk along `order` (indices of `pairs`) and return the first `need` that are allowed."""
         found: list[np.ndarray] = []
         total = 0
@@ -62,7 +62,7 @@ class PairFilter:
 
 def regions_apart(
     regions: Regions, pairs: Int[np.ndarray, "Q 2"], gap: float
-) -> Bool[np.ndarray, "Q"]:
+) -> Bool[np.ndarray, " Q"]:
     """Tell for each pair whether all points of the two regions are at least `gap` apart [m].
 
     Source:
@@ -77,10 +77,10 @@ def regions_apart(
     if not len(pairs):
         return np.zeros(0, bool)
 
-    def vectors(values: Float[np.ndarray, "..."]) -> wp.array:
+    def vectors(values: Float[np.ndarray, "*b 3"]) -> wp.array:
         return wp.array(np.asarray(values, np.float32), dtype=wp.vec3, device="cpu")
 
-    apart = wp.empty(len(pairs), dtype=wp.bool, device="cpu")
+    apart = wp.empty(len(pairs), dtype=int, device="cpu")
     wp.launch(
         regions_apart_kernel,
         dim=len(pairs),
@@ -94,4 +94,4 @@ def regions_apart(
         outputs=[apart],
         device="cpu",
     )
-    return apart.numpy()
+    return apart.numpy() != 0

@@ -16,9 +16,10 @@ def region_members_kernel(
     members_out: wp.array2d[int],
     filled_out: wp.array[int],
 ):
+    """List the first points near each anchor on its sheet, repeated until all places are full."""
     a = wp.tid()
     # An anchor is in its own region even if a duplicate point or a needle's normal is not.
-    found = int(0)
+    found = int(0)  # noqa: RUF046  (Warp: a variable that a loop changes)
     for i in range(points.shape[0]):
         d = points[i] - points[a]
         near = wp.dot(d, d) <= radius * radius
@@ -42,21 +43,22 @@ def regions_apart_kernel(
     pairs_in: wp.array2d[int],
     gap: float,
     # Out:
-    apart_out: wp.array[wp.bool],
+    apart_out: wp.array[int],
 ):
+    """Tell for each pair whether no two points of its regions are nearer than the gap."""
     pair = wp.tid()
     a = pairs_in[pair, 0]
     b = pairs_in[pair, 1]
-    apart = bool(True)
+    apart = int(1)  # noqa: RUF046  (Warp: a variable that a loop changes)
     # Only points of a that come near b's anchor can come near one of b's points.
     bound = (gap + reach[b]) * (gap + reach[b])
     for i in range(points.shape[1]):
         p = points[a, i]
         to_b = p - anchors[b]
-        if apart and wp.dot(to_b, to_b) < bound:
+        if apart == 1 and wp.dot(to_b, to_b) < bound:
             for j in range(points.shape[1]):
                 d = p - points[b, j]
                 if wp.dot(d, d) < gap * gap:
-                    apart = False
+                    apart = 0
                     break
     apart_out[pair] = apart

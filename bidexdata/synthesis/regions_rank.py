@@ -18,7 +18,7 @@ from bidexdata.wrench.support import AXES, force_support
 if TYPE_CHECKING:
     from bidexdata.synthesis.regions import RegionConfig
 
-Ranking = tuple[Int[np.ndarray, "n 2"], Float[np.ndarray, "n"]]
+Ranking = tuple[Int[np.ndarray, "n 2"], Float[np.ndarray, " n"]]
 
 
 def random_order(allowed: PairFilter, need: int, rng: np.random.Generator) -> Ranking:
@@ -66,7 +66,7 @@ def torque_order(
 
 def force_scores(
     regions: Regions, pairs: Int[np.ndarray, "n 2"], friction: float
-) -> Float[np.ndarray, "n"]:
+) -> Float[np.ndarray, " n"]:
     """Give the paper's score of pairs: support functions of the two regions add [caps]."""
     support = force_support(-regions.contact_normals.astype(np.float64), AXES, mu=friction)
     return (support[pairs[:, 0]] + support[pairs[:, 1]]).min(axis=1)
@@ -74,7 +74,7 @@ def force_scores(
 
 def balance_residuals(
     regions: Regions, pairs: Int[np.ndarray, "n 2"], config: RegionConfig, longest: float
-) -> Float[np.ndarray, "n"]:
+) -> Float[np.ndarray, " n"]:
     """Give the coupled QP's residual over the six disturbances, both hands pressing (squared)."""
     if not len(pairs):
         return np.zeros(0)
@@ -102,7 +102,7 @@ def torque_length(longest: float) -> float:
 
 def diverse(
     anchors: Float[np.ndarray, "A 3"], pairs: Int[np.ndarray, "n 2"], distance: float, keep: int
-) -> Int[np.ndarray, "m"]:
+) -> Int[np.ndarray, " m"]:
     """Pick pairs in order that differ from all picked ones by more than `distance` in one anchor.
 
     Args:
@@ -127,5 +127,5 @@ def diverse(
     return np.array(picked, np.int64)
 
 
-def _norm(v: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+def _norm(v: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
     return np.sqrt(np.einsum("ni,ni->n", v, v))

@@ -65,7 +65,7 @@ def split_force(
     forces: Float[np.ndarray, "*b 3"], normals: Float[np.ndarray, "*b 3"]
 ) -> tuple[Float[np.ndarray, "*b"], Float[np.ndarray, "*b 3"]]:
     """Split forces into their normal component and their tangential vector [N]."""
-    f_n = np.einsum("...i,...i->...", forces, normals)
+    f_n = np.asarray(np.einsum("...i,...i->...", forces, normals))
     return f_n, forces - f_n[..., None] * normals
 
 
@@ -79,7 +79,7 @@ def cone_violation(
     """Measure how far forces leave {0 <= f_n <= cap, |f_t| <= mu f_n}: the largest excess [N]."""
     f_n, f_t = split_force(forces, normals)
     slide = np.linalg.norm(f_t, axis=-1) - mu * f_n
-    return np.maximum(np.maximum(-f_n, f_n - cap), np.maximum(slide, 0.0))
+    return np.asarray(np.maximum(np.maximum(-f_n, f_n - cap), np.maximum(slide, 0.0)))
 
 
 def project_to_cone(
@@ -97,8 +97,7 @@ def project_to_cone(
     f_n, f_t = split_force(np.asarray(forces, np.float64), normals)
     slide = np.linalg.norm(f_t, axis=-1)
     on_mantle = (f_n + mu * slide) / (1.0 + mu * mu)
-    pressed = np.where(slide <= mu * f_n, f_n, np.maximum(on_mantle, 0.0))
-    pressed = np.minimum(pressed, cap)
+    pressed = np.clip(np.where(slide <= mu * f_n, f_n, on_mantle), 0.0, cap)
     # |f_t| may not exceed mu times the pressure; inside the cone it already does not.
     kept = np.minimum(1.0, mu * pressed / np.maximum(slide, _TINY))
     return pressed[..., None] * normals + kept[..., None] * f_t

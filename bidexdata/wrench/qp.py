@@ -230,7 +230,7 @@ class QPResult(NamedTuple):
 def contact_qp(
     points: Float[np.ndarray, "N M 3"],
     normals_in: Float[np.ndarray, "N M 3"],
-    lengths: Float[np.ndarray, "N"],
+    lengths: Float[np.ndarray, " N"],
     config: QPConfig | None = None,
     *,
     hands: int = 2,

@@ -8,9 +8,9 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-# Newton on the pressure multiplier, a piecewise linear function with 3 kinks a contact: at most so
-# many steps in one iteration, and the last one from an error of at most this share of gamma.
-PRESSURE_STEPS = wp.constant(8)
+# The pressure is piecewise linear in its multiplier, with 3 kinks a contact: at most so many Newton
+# steps in one iteration, the last one from an error of at most this share of gamma.
+PRESSURE_STEPS = wp.constant(24)
 PRESSURE_TOLERANCE = wp.constant(1.0e-2)
 TINY = wp.constant(1.0e-12)
 
@@ -24,8 +24,8 @@ def project_to_cone(y: wp.vec3, n: wp.vec3, shift: float, mu: float, cap: float)
     a = along + shift
     pressed = a
     if slide > mu * a:
-        pressed = wp.max((a + mu * slide) / (1.0 + mu * mu), 0.0)
-    pressed = wp.min(pressed, cap)
+        pressed = (a + mu * slide) / (1.0 + mu * mu)
+    pressed = wp.clamp(pressed, 0.0, cap)
     kept = wp.min(1.0, mu * pressed / wp.max(slide, TINY))
     return pressed * n + kept * tangent
 
@@ -69,16 +69,50 @@ def hand_pressure(
 
 
 @wp.func
-def next_shift(shift: float, pressure: wp.vec2, gamma: float, places: int) -> float:
-    """Newton step towards the shift at which the pressure is gamma, never below zero.
+def pressure_shift(
+    normals: wp.array2d[wp.vec3],
+    y: wp.array4d[wp.vec3],
+    p: int,
+    layer: int,
+    t: int,
+    start: int,
+    stop: int,
+    guess: float,
+    pressure_at_guess: wp.vec2,
+    mu: float,
+    cap: float,
+    gamma: float,
+) -> float:
+    """Shift along the normals at which a hand's projected forces press with gamma.
 
-    With no slope (all contacts released) the step assumes that every contact answers fully, which
-    falls short rather than overshoots.
+    It is the multiplier of the pressure bound: projecting y + shift n onto the cones is then the
+    exact projection onto cones and bound together. Newton, kept between the shifts known to press
+    too little and too much; where nothing answers (all released, or all at the cap) it doubles.
     """
-    slope = pressure[1]
-    if slope <= 0.0:
-        slope = float(places)
-    return wp.max(shift + (gamma - pressure[0]) / slope, 0.0)
+    shift = guess
+    pressure = pressure_at_guess
+    low = float(-1.0)
+    high = float(-1.0)
+    for _ in range(PRESSURE_STEPS):
+        missing = gamma - pressure[0]
+        if shift == 0.0 and missing <= 0.0:
+            break
+        if missing > 0.0:
+            low = shift
+        else:
+            high = shift
+        if pressure[1] > 0.0:
+            shift = wp.max(shift + missing / pressure[1], 0.0)
+            if wp.abs(missing) < PRESSURE_TOLERANCE * gamma:
+                break
+        elif missing > 0.0:
+            shift = 2.0 * shift + gamma
+        else:
+            shift = 0.0
+        if high >= 0.0 and (shift <= low or shift >= high):
+            shift = 0.5 * (wp.max(low, 0.0) + high)
+        pressure = hand_pressure(normals, y, p, layer, t, start, stop, shift, mu, cap)
+    return shift
 
 
 @wp.kernel
@@ -106,6 +140,7 @@ def contact_qp_kernel(
     residual_force_out: wp.array3d[wp.vec3],
     residual_torque_out: wp.array3d[wp.vec3],
 ):
+    """Improve the forces of one problem and write its residual."""
     p, k, t = wp.tid()
     layer = group_layer[k]
     h0 = group_first_hand[k]
@@ -146,14 +181,20 @@ def contact_qp_kernel(
                 along = wp.dot(y, n)
                 pressure += pressure_and_slope(along + shift, wp.length(y - along * n), mu, cap)
             if shift > 0.0 or pressure[0] < gamma:
-                for _newton in range(PRESSURE_STEPS):
-                    missing = wp.abs(gamma - pressure[0])
-                    shift = next_shift(shift, pressure, gamma, stop - start)
-                    if missing < PRESSURE_TOLERANCE * gamma or shift == 0.0:
-                        break
-                    pressure = hand_pressure(
-                        normals_in, forces, p, layer, t, start, stop, shift, mu, cap
-                    )
+                shift = pressure_shift(
+                    normals_in,
+                    forces,
+                    p,
+                    layer,
+                    t,
+                    start,
+                    stop,
+                    shift,
+                    pressure,
+                    mu,
+                    cap,
+                    gamma,
+                )
                 shifts[h - h0] = shift
             for c in range(start, stop):
                 f = project_to_cone(forces[p, layer, t, c], normals_in[p, c], shift, mu, cap)
@@ -188,6 +229,7 @@ def contact_qp_gradient_kernel(
     grad_points_out: wp.array2d[wp.vec3],
     grad_normals_out: wp.array2d[wp.vec3],
 ):
+    """Sum one contact's envelope gradient over the groups of its hand and the targets."""
     p, c = wp.tid()
     d_point = wp.vec3(0.0)
     d_normal = wp.vec3(0.0)

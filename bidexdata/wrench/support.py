@@ -2,7 +2,7 @@
 
 W is the Minkowski sum over contacts of {G f : 0 <= f_n <= 1, |f_t| <= mu f_n}. In a direction
 without torque the farthest point of W follows from the normals alone, in closed form; the sampled
-estimate is the one that the paper names.
+estimates are those that the paper and its sources describe.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def stability_score(
     Source:
         BiDexGrasp 4.2, step 2, with the exact support function in place of samples.
     """
-    return force_support(normals_in, AXES, mu=mu).min(axis=-1)
+    return np.asarray(force_support(normals_in, AXES, mu=mu).min(axis=-1))
 
 
 def sampled_boundary(
@@ -60,8 +60,9 @@ def sampled_boundary(
     *,
     mu: float,
     length: float,
+    smooth: bool = True,
 ) -> Float[np.ndarray, "D 6"]:
-    """Estimate boundary wrenches of W along force directions as the TDG estimator does.
+    """Sample wrenches of W along force directions, one per direction.
 
     Args:
         points: Contact points relative to the torque reference [m].
@@ -69,25 +70,29 @@ def sampled_boundary(
         directions: Random unit vectors u; the wrench direction is (u, 0).
         mu: Friction coefficient [-].
         length: Torque length [m].
+        smooth: As the TDG estimator does, which keeps gradients alive: a contact in front gives
+            the point where u meets its disc, a contact behind fades out although it no longer
+            helps, so the sum stays well inside W. False: each contact's exact support point.
 
     Returns:
-        One wrench per direction, torque over `length`, in units of one contact's cap.
+        Wrenches, torque over `length`, in units of one contact's cap.
 
     Source:
-        Chen et al. 2023 (TDG), as used by BiDexGrasp 4.2. Its support points are smooth: contacts
-        that cannot help decay to zero instead of switching off, so W is reached from inside in
-        front of the contact and a little underestimated behind it.
+        Chen et al. 2023 (TDG), as BiDexGrasp 4.2 and BODex use it.
     """
     G = grasp_matrix(points / length, contact_frames(normals_in))
     local = np.einsum("cij,di->dcj", G[:, :3], directions)
     forward, side = local[..., 0], np.linalg.norm(local[..., 1:], axis=-1)
     unit = local[..., 1:] / np.maximum(side, _TINY)[..., None]
-    alpha = np.arctan(mu)
-    angle = np.arccos(np.clip(forward, -1.0, 1.0))
-    ahead = side / np.maximum(forward, 0.5 * np.cos(alpha))
-    reach = np.where(angle <= alpha, ahead, mu)
-    behind = side / np.maximum(side - 2.0 * mu * np.minimum(forward, 0.0), _TINY)
-    share = np.where(forward >= 0.0, 1.0, behind)
+    if smooth:
+        alpha = np.arctan(mu)
+        ahead = side / np.maximum(forward, 0.5 * np.cos(alpha))
+        reach = np.where(np.arccos(np.clip(forward, -1.0, 1.0)) <= alpha, ahead, mu)
+        behind = side / np.maximum(side - 2.0 * mu * np.minimum(forward, 0.0), _TINY)
+        share = np.where(forward >= 0.0, 1.0, behind)
+    else:
+        reach = np.full_like(side, mu)
+        share = (forward + mu * side > 0.0).astype(np.float64)
     force = np.concatenate([np.ones_like(side)[..., None], reach[..., None] * unit], axis=-1)
     return np.einsum("cij,dcj->di", G, force * share[..., None])
 
@@ -95,18 +100,24 @@ def sampled_boundary(
 def sampled_score(
     points: Float[np.ndarray, "C 3"],
     normals_in: Float[np.ndarray, "C 3"],
+    directions: Float[np.ndarray, "D 3"],
     *,
     mu: float,
     length: float,
-    rng: np.random.Generator,
-    samples: int = 1000,
+    smooth: bool = True,
 ) -> float:
-    """Give the paper's score from `samples` boundary wrenches, the estimate it describes.
+    """Give the paper's score from boundary wrenches, the estimate it describes.
+
+    Args:
+        points: As in `sampled_boundary`, likewise the rest.
+        normals_in: Inward unit normals.
+        directions: The paper draws 1000.
+        mu: Friction coefficient [-].
+        length: Torque length [m].
+        smooth: TDG's support points instead of exact ones.
 
     Source:
         BiDexGrasp 4.2: s = min over six axes of the max over M = 1000 wrenches of t . w.
     """
-    u = rng.standard_normal((samples, 3))
-    u /= np.linalg.norm(u, axis=-1, keepdims=True)
-    boundary = sampled_boundary(points, normals_in, u, mu=mu, length=length)
-    return float((boundary[:, :3] @ AXES.T).max(axis=0).min())
+    w = sampled_boundary(points, normals_in, directions, mu=mu, length=length, smooth=smooth)
+    return float((w[:, :3] @ AXES.T).max(axis=0).min())
