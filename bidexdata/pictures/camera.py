@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
+
+from bidexdata.pictures.scene import Vector
 
 FloatArray = NDArray[np.float64]
 
@@ -25,7 +27,7 @@ class Camera(NamedTuple):
 
 
 def look_at(
-    target: ArrayLike, direction: ArrayLike, distance: float, *, fov: float = FIELD_OF_VIEW
+    target: Vector, direction: Vector, distance: float, *, fov: float = FIELD_OF_VIEW
 ) -> Camera:
     """Look at `target` [m] from `distance` [m] along the unit vector `direction` (to the camera).
 
@@ -36,7 +38,7 @@ def look_at(
     return Camera(position, R, float(np.tan(0.5 * fov)))
 
 
-def view_rotation(direction: ArrayLike) -> FloatArray:
+def view_rotation(direction: Vector) -> FloatArray:
     """Rotation whose columns are the camera's right, up and backward = `direction`, (3, 3)."""
     back = np.asarray(direction, np.float64)
     back = back / np.linalg.norm(back)
@@ -48,7 +50,7 @@ def view_rotation(direction: ArrayLike) -> FloatArray:
 
 def framed(
     points: FloatArray,
-    direction: ArrayLike,
+    direction: Vector,
     aspect: float,
     *,
     margin: float = 0.05,

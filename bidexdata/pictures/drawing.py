@@ -7,17 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from bidexdata.frames import matrix_from_quat
 from bidexdata.hands.kinematics import forward_kinematics
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import Solid
 from bidexdata.pictures.posing import has_pose, poses_at
-from bidexdata.pictures.scene import Colour, Part, arrow, disc, mesh_part, moved, sphere
+from bidexdata.pictures.scene import Colour, Part, Vector, arrow, disc, mesh_part, moved, sphere
 from bidexdata.record import GraspBatch
 
 Surface = Literal["mesh", "pieces"]
@@ -41,7 +41,7 @@ def grasp_parts(
     solid: Solid,
     hands: Sequence[Hand],
     *,
-    stage: str | float = "grasp",
+    stage: str | int | float = "grasp",
     surface: Surface = "mesh",
     contacts: bool = True,
 ) -> list[Part]:
@@ -70,31 +70,31 @@ def grasp_parts(
         if contacts:
             parts += contact_parts(batch, row)
     if str(batch["setting"][row]) == "tabletop":
-        parts.append(disc((pos[0], pos[1], 0.0), 1.5 * size, GROUND_COLOUR))
+        parts.append(disc((float(pos[0]), float(pos[1]), 0.0), 1.5 * size, GROUND_COLOUR))
     return parts
 
 
 def solid_parts(
     solid: Solid,
     size: float,
-    pos: ArrayLike = (0.0, 0.0, 0.0),
-    quat_wxyz: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+    pos: Vector = (0.0, 0.0, 0.0),
+    quat_wxyz: Vector = (1.0, 0.0, 0.0, 0.0),
     *,
     surface: Surface = "mesh",
 ) -> list[Part]:
     """Draw an object with bounding-box diagonal `size` [m] at a pose in the world."""
-    R, p = matrix_from_quat(quat_wxyz), np.asarray(pos, np.float64)
+    R, p = matrix_from_quat(np.asarray(quat_wxyz)), np.asarray(pos, np.float64)
     shapes = _pieces(solid) if surface == "pieces" else (_mesh(solid),)
     return [moved(s._replace(vertices=s.vertices * size), R, p) for s in shapes]
 
 
-def hand_part(hand: Hand, pos: ArrayLike, quat_wxyz: ArrayLike, joints: ArrayLike) -> Part:
+def hand_part(hand: Hand, pos: Vector, quat_wxyz: Vector, joints: NDArray[Any]) -> Part:
     """Draw a hand whose frame is at a pose in the world [m, rad], in its side's colour."""
     angles = np.asarray(joints, np.float64)[: len(hand.joint_names)]
     body_pos, body_rot = forward_kinematics(hand, angles)
     placed = [moved(shape, body_rot[b], body_pos[b]) for b, shape in body_shapes(hand)]
     whole = joined(placed, HAND_COLOURS[hand.side], hand.side)
-    return moved(whole, matrix_from_quat(quat_wxyz), pos)
+    return moved(whole, matrix_from_quat(np.asarray(quat_wxyz)), pos)
 
 
 @lru_cache(maxsize=8)

@@ -29,7 +29,7 @@ class HandPoses(NamedTuple):
     """[rad], padded with NaN for hands with fewer joints, (H, J)."""
 
 
-def moment_of(stage: str | float) -> float:
+def moment_of(stage: str | int | float) -> float:
     """Number of a stage's name; a number stays as it is.
 
     Raises:
@@ -48,7 +48,7 @@ def has_pose(batch: GraspBatch, row: int) -> bool:
     return bool(np.isfinite(pos).all() and np.isfinite(quat).all())
 
 
-def poses_at(batch: GraspBatch, row: int, stage: str | float) -> HandPoses:
+def poses_at(batch: GraspBatch, row: int, stage: str | int | float) -> HandPoses:
     """Give the hands' poses; at a stage they are the stored numbers exactly."""
     moment = moment_of(stage)
     first = min(int(moment), len(STAGES) - 2)
@@ -62,6 +62,6 @@ def poses_at(batch: GraspBatch, row: int, stage: str | float) -> HandPoses:
         return HandPoses(pos[:, at], quat[:, at], joints[:, at])
     return HandPoses(
         (1 - t) * pos[:, first] + t * pos[:, first + 1],
-        quat_slerp(quat[:, first], quat[:, first + 1], t),
+        quat_slerp(quat[:, first], quat[:, first + 1], np.asarray(t)),
         (1 - t) * joints[:, first] + t * joints[:, first + 1],
     )

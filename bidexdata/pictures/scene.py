@@ -5,18 +5,25 @@ Everything is in the world frame, in metres. Colours are sRGB in [0, 1].
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from bidexdata.frames import rotation_with_z
 
 FloatArray = NDArray[np.float64]
-Colour = tuple[float, float, float]
+Colour = tuple[float | int, float | int, float | int]
+Vector = NDArray[Any] | Sequence[float | int]
+"""Three numbers of a point or direction, or four of a quaternion."""
 
 CREASE_COSINE = float(np.cos(np.radians(40.0)))
 """Faces that meet at less than this angle are shaded as one smooth surface."""
+
+
+MEAN_COSINE = float(np.cos(np.radians(20.0)))
+"""A corner whose face leans at most this from the mean of all faces there has no edge near."""
 
 
 class Part(NamedTuple):
@@ -34,7 +41,7 @@ class Part(NamedTuple):
 
 
 def mesh_part(
-    vertices: ArrayLike, faces: ArrayLike, colour: Colour, label: str, *, smooth: bool = True
+    vertices: NDArray[Any], faces: NDArray[Any], colour: Colour, label: str, *, smooth: bool = True
 ) -> Part:
     """Make a part of a triangle mesh, smooth where its faces meet at a small angle."""
     v = np.asarray(vertices, np.float64).reshape(-1, 3)
@@ -43,7 +50,7 @@ def mesh_part(
     return Part(v, normals, f, colour, label)
 
 
-def moved(part: Part, R: ArrayLike, p: ArrayLike) -> Part:
+def moved(part: Part, R: NDArray[Any], p: Vector) -> Part:
     """Turn a part by the rotation matrix R (3, 3), then shift it by p (3,) [m]."""
     R, p = np.asarray(R, np.float64), np.asarray(p, np.float64)
     return part._replace(vertices=part.vertices @ R.T + p, corner_normals=part.corner_normals @ R.T)
@@ -51,46 +58,46 @@ def moved(part: Part, R: ArrayLike, p: ArrayLike) -> Part:
 
 def face_normals(vertices: FloatArray, faces: NDArray[np.int32]) -> FloatArray:
     """Unit normals (F, 3); zero where a triangle has no area."""
-    normals = _area_vectors(vertices, faces)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return _unit(np.asarray(np.cross(b - a, c - a), np.float64))
 
 
 def corner_normals(vertices: FloatArray, faces: NDArray[np.int32]) -> FloatArray:
-    """Shading normals (F, 3, 3): the vertex normal, or the face's own across a crease.
+    """Shading normals (F, 3, 3): at each corner the mean over the faces that are smooth with it.
 
-    Vertices at the same place count as one, so seams of a mesh file do not show.
+    Faces are weighted by their angle at the corner, so that how a side is cut into triangles does
+    not show. Vertices at the same place count as one, so seams of a mesh file do not show either.
     """
     if not len(faces):
         return np.zeros((0, 3, 3))
-    area = _area_vectors(vertices, faces)
+    own = np.repeat(face_normals(vertices, faces), 3, axis=0)  # of each corner, (3 F, 3)
+    weighted = _corner_angles(vertices, faces).reshape(-1, 1) * own
     _, welded = np.unique(vertices.round(7), axis=0, return_inverse=True)
-    corner = welded.reshape(-1)[faces]
-    summed = np.stack(
-        [
-            np.bincount(corner.ravel(), np.repeat(area[:, axis], 3), minlength=len(vertices))
-            for axis in range(3)
-        ],
-        axis=1,
-    )
-    length = np.linalg.norm(summed, axis=1, keepdims=True)
-    unit = np.divide(summed, length, out=np.zeros_like(summed), where=length > 0)
-    at_corner = unit[corner]
-    own = np.repeat(face_normals(vertices, faces)[:, None], 3, axis=1)
-    flat = np.einsum("fci,fci->fc", at_corner, own) < CREASE_COSINE
-    return np.where(flat[..., None], own, at_corner)
+    vertex = welded.reshape(-1)[faces].ravel()
+    mean = _unit(_summed(vertex, weighted, len(vertices)))[vertex]
+    # Where the mean over all faces leans away from a face, an edge passes: leave out what is
+    # beyond it.
+    creased = np.flatnonzero(np.einsum("ci,ci->c", mean, own) < MEAN_COSINE)
+    around = np.argsort(vertex, kind="stable")  # corners, those of one vertex together
+    degree = np.bincount(vertex, minlength=len(vertices))
+    start = np.cumsum(degree) - degree
+    times = degree[vertex[creased]]
+    here = np.repeat(np.arange(len(creased)), times)
+    step = np.arange(len(here)) - np.repeat(np.cumsum(times) - times, times)
+    other = around[start[vertex[creased[here]]] + step]
+    smooth = np.einsum("ci,ci->c", own[creased[here]], own[other]) >= CREASE_COSINE
+    mean[creased] = _unit(_summed(here[smooth], weighted[other[smooth]], len(creased)))
+    return mean.reshape(-1, 3, 3)
 
 
-def sphere(centre: ArrayLike, radius: float, colour: Colour, label: str) -> Part:
+def sphere(centre: Vector, radius: float, colour: Colour, label: str) -> Part:
     """A ball of 320 triangles that touches the true sphere at its vertices [m]."""
     v, f = _ICOSPHERE
     at = np.asarray(centre, np.float64)
     return Part(v * radius + at, v[f], f, colour, label)
 
 
-def arrow(
-    start: ArrayLike, end: ArrayLike, radius: float, colour: Colour, label: str
-) -> Part | None:
+def arrow(start: Vector, end: Vector, radius: float, colour: Colour, label: str) -> Part | None:
     """A shaft with a conical head from `start` to `end` [m]; None when they coincide."""
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
     length = float(np.linalg.norm(end - start))
@@ -106,15 +113,29 @@ def arrow(
     )
 
 
-def disc(centre: ArrayLike, radius: float, colour: Colour, label: str = "ground") -> Part:
+def disc(centre: Vector, radius: float, colour: Colour, label: str = "ground") -> Part:
     """A flat round plate whose normal is world z [m]."""
     vertices, faces = _turned(np.array([[radius, 0.0], [0.0, 0.0]]), 64)
     return mesh_part(vertices + np.asarray(centre, np.float64), faces, colour, label, smooth=False)
 
 
-def _area_vectors(vertices: FloatArray, faces: NDArray[np.int32]) -> FloatArray:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return np.cross(b - a, c - a)
+def _corner_angles(vertices: FloatArray, faces: NDArray[np.int32]) -> FloatArray:
+    """Angle of each face at each of its corners [rad], (F, 3)."""
+    p = vertices[faces]
+    after = _unit(np.roll(p, -1, axis=1) - p)
+    before = _unit(np.roll(p, 1, axis=1) - p)
+    return np.arccos(np.clip(np.einsum("fci,fci->fc", after, before), -1, 1))
+
+
+def _summed(index: NDArray[np.intp], values: FloatArray, n: int) -> FloatArray:
+    """Add up the rows of `values` (m, 3) that have the same index, (n, 3)."""
+    sums = [np.bincount(index, values[:, a], minlength=n) for a in range(3)]
+    return np.stack(sums, axis=1).astype(np.float64)  # bincount of nothing counts in integers
+
+
+def _unit(v: FloatArray) -> FloatArray:
+    length = np.linalg.norm(v, axis=-1, keepdims=True)
+    return np.divide(v, length, out=np.zeros_like(v), where=length > 0)
 
 
 def _turned(profile: FloatArray, n: int = 12) -> tuple[FloatArray, NDArray[np.int32]]:

@@ -124,9 +124,15 @@ def save_animation(frames: Sequence[Image], path: Path) -> None:
     if path.suffix.lower() == ".gif":
         from PIL import Image
 
-        # One palette for all frames: colours that jump between frames flicker.
-        palette = first.quantize(255, method=Image.Quantize.MEDIANCUT)
-        indexed = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
+        # One palette for all frames: colours that jump between frames flicker. This method keeps
+        # the small bright marks, which the others merge with their surroundings.
+        samples = [frames[0], frames[len(frames) // 2], frames[-1]]
+        width, height = first.size
+        strip = Image.new("RGB", (width, len(samples) * height))
+        for k, frame in enumerate(samples):
+            strip.paste(frame, (0, k * height))
+        palette = strip.quantize(255, method=Image.Quantize.MAXCOVERAGE)
+        indexed = [f.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG) for f in frames]
         first, rest = indexed[0], indexed[1:]
     first.save(path, save_all=True, append_images=rest, duration=FRAME_MS, loop=0)
 

@@ -6,7 +6,7 @@ Pictures and the viewer read through `Browsable` and do not know which of the th
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 Kind = Literal["library", "run", "release"]
 
 
+@runtime_checkable
 class Browsable(Protocol):
     """What can be looked into."""
 

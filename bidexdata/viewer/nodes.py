@@ -28,7 +28,7 @@ from bidexdata.pictures.drawing import (
     solid_parts,
 )
 from bidexdata.pictures.posing import HandPoses
-from bidexdata.pictures.scene import Colour, Part, sphere
+from bidexdata.pictures.scene import Colour, Part, Vector, sphere
 from bidexdata.record import GraspBatch
 
 if TYPE_CHECKING:
@@ -53,7 +53,9 @@ class HandNodes:
             colour = _bytes(HAND_COLOURS[hand.side])
             scene.add_mesh_simple(f"{name}/mesh", vertices, faces, color=colour, side="double")
 
-    def move(self, pos: NDArray[np.float64], quat: NDArray[np.float64], joints: NDArray) -> None:
+    def move(
+        self, pos: NDArray[np.float64], quat: NDArray[np.float64], joints: NDArray[Any]
+    ) -> None:
         """Pose the hand: its frame in the world [m], its joints [rad]."""
         body_pos, body_rot = forward_kinematics(self.hand, joints[: len(self.hand.joint_names)])
         self.base.position, self.base.wxyz = pos, quat
@@ -83,8 +85,8 @@ class GraspNodes:
         self,
         solid: Solid,
         size: float,
-        pos: Sequence[float] | NDArray,
-        quat_wxyz: Sequence[float] | NDArray,
+        pos: Vector,
+        quat_wxyz: Vector,
         surface: Surface,
     ) -> None:
         """Replace the object: at bounding-box diagonal `size` [m] and a pose in the world."""

@@ -1,0 +1,97 @@
+"""Choosing and drawing rows; the file formats behind `open_browsable` have their own tests."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from picture_samples import Made
+from PIL import Image
+
+from bidexdata.errors import BadConfig, NotUsable, PathNotFound
+from bidexdata.runs import render as render_module
+from bidexdata.runs.browse import open_browsable, verdicts_of
+from bidexdata.runs.render import choose_grasps, render
+
+
+@pytest.fixture(scope="module")
+def source(hands):
+    return Made(hands, 12)
+
+
+@pytest.fixture
+def opened(source, monkeypatch):
+    """Let `render` find the hand-made rows under any path."""
+    monkeypatch.setattr(render_module, "open_browsable", lambda path: source)
+    monkeypatch.setattr(render_module, "WIDTH", 60)
+    monkeypatch.setattr(render_module, "HEIGHT", 48)
+
+
+def keys(chosen):
+    return [(s.object_id, str(s.batch["grasp_id"][s.row])) for s in chosen]
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 9, 100])
+@pytest.mark.parametrize("only", [None, "success", "failure"])
+def test_chosen_grasps_are_different_spread_and_what_was_asked_for(source, count, only):
+    chosen = choose_grasps(source, count, only=only)
+    assert len(set(keys(chosen))) == len(chosen) <= count
+    assert keys(chosen) == keys(choose_grasps(source, count, only=only))
+    for s in chosen:
+        assert str(s.batch["object_id"][s.row]) == s.object_id
+        assert np.isfinite(s.batch["hand_pos"][s.row]).all()
+        if only:
+            assert verdicts_of(s.batch)[s.row] == (only == "success")
+    per_object = [sum(s.object_id == o for s in chosen) for o in source.object_ids]
+    assert max(per_object) - min(per_object) <= 1
+    if count == 5 and only is None:
+        assert {int(s.batch["size_mm"][s.row]) for s in chosen} == {300, 500}
+
+
+def test_another_seed_chooses_other_grasps(source):
+    assert keys(choose_grasps(source, 4)) != keys(choose_grasps(source, 4, seed=1))
+
+
+def test_a_sheet_is_written_and_the_same_twice(opened, tmp_path: Path):
+    first = render("run", tmp_path / "a.png", count=2, quiet=True)
+    second = render("run", tmp_path / "deeper" / "b.png", count=2, quiet=True)
+    assert first.shown == second.shown
+    assert (tmp_path / "a.png").read_bytes() == second.out.read_bytes()
+    assert "Warp" in first.drawn_by
+    assert "cpu" in first.drawn_by
+    with Image.open(tmp_path / "a.png") as sheet:
+        assert sheet.size[0] >= 2 * 60 + 4
+        assert len(set(sheet.convert("RGB").getdata())) > 100
+
+
+def test_a_video_moves_and_rests_at_its_ends(opened, tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(render_module, "VIDEO_MOMENTS", (0.0, 1.0, 2.0))
+    report = render("run", tmp_path / "a.gif", count=1, video=True, quiet=True)
+    assert len(report.shown) == 1
+    with Image.open(tmp_path / "a.gif") as movie:
+        assert movie.n_frames == 3
+
+
+def test_video_moments_run_through_all_stages():
+    moments = render_module.VIDEO_MOMENTS
+    assert list(moments) == sorted(moments)
+    assert {0.0, 1.0, 2.0} <= set(moments)
+
+
+def test_impossible_wishes_are_named(opened, source, tmp_path: Path, monkeypatch):
+    with pytest.raises(BadConfig, match="contact sheet"):
+        render("run", tmp_path / "a.mp4", quiet=True)
+    with pytest.raises(BadConfig, match="animation"):
+        render("run", tmp_path / "a.jpg", video=True, quiet=True)
+    with pytest.raises(BadConfig, match="--count"):
+        render("run", tmp_path / "a.png", count=0, quiet=True)
+    monkeypatch.setattr(source, "test", "")
+    with pytest.raises(NotUsable, match="bidexdata validate"):
+        render("run", tmp_path / "a.png", only="success", quiet=True)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_path_without_data_is_named(tmp_path: Path):
+    with pytest.raises(PathNotFound):
+        open_browsable(tmp_path / "nothing")
+    with pytest.raises(NotUsable, match="neither"):
+        open_browsable(tmp_path)

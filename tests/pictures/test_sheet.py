@@ -1,0 +1,130 @@
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from picture_samples import box_solid, grasps
+from PIL import Image
+
+from bidexdata.pictures.captions import grasp_caption, object_caption, verdict_words
+from bidexdata.pictures.sheet import (
+    BAD,
+    GOOD,
+    PAPER,
+    Caption,
+    Tile,
+    contact_sheet,
+    fitted,
+    save_animation,
+    save_picture,
+)
+from bidexdata.record.status import Status
+
+
+def tile(value: int, caption: Caption) -> Tile:
+    return Tile(np.full((40, 120, 3), value, np.uint8), caption)
+
+
+def test_tiles_stand_in_a_grid_unchanged():
+    tiles = [tile(10 * k, Caption(f"tile {k}", ("line",))) for k in range(5)]
+    sheet = np.asarray(contact_sheet(tiles, title="title", footer="foot", columns=2))
+    assert sheet.shape[1] == 2 * (120 + 10) + 10
+    for k in range(5):
+        rows, columns = np.nonzero(np.all(sheet == 10 * k, axis=2))
+        inside = (columns >= 10 + (k % 2) * 130) & (columns < 130 + (k % 2) * 130)
+        assert np.sum(inside) >= 40 * 120
+        assert np.ptp(rows[inside]) >= 39
+
+
+def test_every_word_is_drawn_and_another_word_draws_another_sheet():
+    def drawn(head="a", line="b", title="t", footer="f"):
+        made = contact_sheet([tile(0, Caption(head, (line,)))], title=title, footer=footer)
+        return np.asarray(made)
+
+    plain = drawn()
+    assert np.array_equal(plain, drawn())
+    for changed in (drawn(head="x"), drawn(line="x"), drawn(title="x"), drawn(footer="x")):
+        assert changed.shape == plain.shape
+        assert not np.array_equal(changed, plain)
+    empty = drawn("", "", "", "")
+    assert np.all(empty[-20:] == PAPER)  # the footer's place
+
+
+def test_the_verdict_is_coloured():
+    def colours(good):
+        made = contact_sheet([tile(0, Caption("a", ("wide words",), good))], title="", footer="")
+        return {tuple(int(v) for v in c) for c in np.asarray(made).reshape(-1, 3)}
+
+    assert GOOD in colours(True)
+    assert GOOD not in colours(False)
+    assert BAD in colours(False)
+    assert not {GOOD, BAD} & colours(None)
+
+
+@pytest.mark.parametrize("text", ["", "x", "a caption", "an object's very long name " * 20])
+@pytest.mark.parametrize("width", [5, 60, 400])
+def test_a_line_fits_its_place_and_keeps_both_ends(text, width):
+    from PIL.ImageFont import load_default
+
+    short = fitted(text, width, 13)
+    assert load_default(13).getlength(short) <= max(width, load_default(13).getlength("…"))
+    assert short == text or "…" in short
+    if len(short) > 3:
+        assert short[0] == text[0]
+        assert short[-1] == text[-1]
+
+
+def test_saving_gives_the_same_bytes_and_reads_back(tmp_path: Path):
+    sheet = contact_sheet([tile(99, Caption("a"))], title="t", footer="f")
+    save_picture(sheet, tmp_path / "a.png")
+    save_picture(sheet, tmp_path / "b.png")
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert np.array_equal(np.asarray(Image.open(tmp_path / "a.png")), np.asarray(sheet))
+
+
+@pytest.mark.parametrize("ending", ["gif", "png"])
+def test_an_animation_holds_every_frame(tmp_path: Path, ending):
+    frames = [contact_sheet([tile(v, Caption("a"))], title="t", footer="f") for v in (0, 120, 240)]
+    save_animation(frames, tmp_path / f"a.{ending}")
+    with Image.open(tmp_path / f"a.{ending}") as read:
+        assert read.n_frames == 3
+        for k, frame in enumerate(frames):
+            read.seek(k)
+            middle = (20, 50)  # inside the tile
+            got = np.array(read.convert("RGB").getpixel(middle), int)
+            assert np.abs(got - np.array(frame.getpixel(middle))).max() < 40
+
+
+def test_an_empty_sheet_still_has_its_words():
+    sheet = np.asarray(contact_sheet([], title="nothing", footer="here"))
+    assert np.any(sheet != PAPER)
+
+
+def test_captions_say_what_became_of_a_grasp(hands):
+    batch = grasps(hands, box_solid("box0-00000000"))
+    caption = grasp_caption(batch, 1)
+    assert caption.head == "box0-00000000  500 mm"
+    assert str(batch["grasp_id"][1]) in caption.lines[0]
+    assert caption.good is True
+    failed = grasp_caption(batch, 0)
+    assert failed.good is False
+    assert Status.SLIP.sentence in failed.lines[-1]
+    never = grasp_caption(batch, len(batch) - 1)
+    assert Status.NO_PLACEMENT.sentence in never.lines[-1]
+    bare = {k: v for k, v in batch.columns.items() if k in ("object_id", "size_mm", "grasp_id")}
+    words, good = verdict_words(dataclasses.replace(batch, columns=bare), 0)
+    assert (words, good) == ("not validated", None)
+
+
+def test_a_load_direction_is_named(hands):
+    batch = grasps(hands, box_solid("box0-00000000"))
+    direction = np.full(len(batch), 5, np.int8)
+    loaded = dataclasses.replace(batch, columns={**batch.columns, "direction": direction})
+    assert "load -z" in verdict_words(loaded, 0)[0]
+
+
+def test_an_object_caption_counts_pieces_and_warns():
+    caption = object_caption(box_solid("box0-00000000"))
+    assert caption.head == "box0-00000000"
+    assert "2 convex pieces" in caption.lines[0]
+    assert caption.lines[1] == "a <warning>"
