@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from bidexdata.devices import start_warp
 from bidexdata.errors import BadConfig
 from bidexdata.frames import matrix_from_quat
 from bidexdata.hands.kinematics_kernels import HandArrays, hand_backward, hand_forward
@@ -77,7 +78,7 @@ def device_hand(hand: Hand, device: str = "cpu") -> DeviceHand:
     Raises:
         BadConfig: A joint follows more than one free variable.
     """
-    wp.init()
+    start_warp()
     if np.any((hand.coupling != 0).sum(axis=1) != 1):
         raise BadConfig(f"hand {hand.name}: each joint must follow exactly one free variable")
     driver = np.argmax(hand.coupling != 0, axis=1)

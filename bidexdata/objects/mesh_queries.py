@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bidexdata.devices import start_warp
 from bidexdata.objects.prepared import TriangleMesh
 
 _DEVICE = "cpu"
@@ -120,7 +121,7 @@ def nodes_inside(
 
     from bidexdata.objects import mesh_queries_kernels as kernels
 
-    wp_init()
+    start_warp()
     first = np.concatenate([[0], np.cumsum([len(p) for p in planes])]).astype(np.int32)
     inside = np.zeros(shape, np.uint8)
     wp.launch(
@@ -164,7 +165,7 @@ def donated_distances(
 
     from bidexdata.objects import mesh_queries_kernels as kernels
 
-    wp_init()
+    start_warp()
     distance = np.zeros(donor.shape, np.float32)
     points = _shared(np.ascontiguousarray(closest, np.float32), wp.vec3)
     mask = _shared(exact.astype(np.uint8), wp.uint8)
@@ -189,18 +190,10 @@ def donated_distances(
     return distance
 
 
-def wp_init() -> None:
-    """Start Warp without its banner and without a word about a missing CUDA driver."""
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_ERROR
-    wp.init()
-
-
 def _device_mesh(mesh: TriangleMesh, *, support_winding_number: bool = False) -> Any:
     import warp as wp
 
-    wp_init()
+    start_warp()
     # The arrays are copied: a Warp mesh must own memory that outlives the query.
     return wp.Mesh(
         wp.array(np.ascontiguousarray(mesh.vertices, np.float32), dtype=wp.vec3, device=_DEVICE),

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bidexdata.devices import start_warp
 from bidexdata.objects.closed import as_manifold, as_mesh, union
 from bidexdata.objects.config import RepairConfig
 from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.mesh_queries import distances, winding_distances, wp_init
+from bidexdata.objects.mesh_queries import distances, winding_distances
 from bidexdata.objects.physics import mass_properties, solid_angles
 from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.weld import weld
@@ -68,7 +69,7 @@ def _level_set(field: NDArray[np.float32], low: NDArray[np.float64], cell: float
     import warp as wp
     from warp.geometry import IsoSurfaceMarchingCubes
 
-    wp_init()
+    start_warp()
     if not (field < 0).any():
         return TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
     # A node exactly on the surface would give triangles without area.

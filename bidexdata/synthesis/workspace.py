@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from bidexdata.devices import start_warp
 from bidexdata.hands.device import DeviceHand, HandState, device_hand, free_limits
 from bidexdata.synthesis.distance_field import device_field
 
@@ -144,7 +145,7 @@ def allocate(
     """Put a start on the device with room for everything that a step writes."""
     import warp as wp
 
-    wp.init()
+    start_warp()
     n = len(start.size)
     counts = tuple(len(h.contact_body) for h in hands)
     stride = max(counts)

@@ -1,0 +1,36 @@
+"""Start Warp once, quietly.
+
+Warp needs `wp.init()` before torch interoperability and device queries. Its banner, and the notice
+of its native library that there is no CUDA driver, would otherwise land among a command's output.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from functools import cache
+
+_NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
+
+
+@cache
+def start_warp() -> None:
+    """Initialise Warp; a no-op after the first call."""
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    # The native library writes to file descriptor 2 and has no switch for it.
+    sys.stderr.flush()
+    kept = os.dup(2)
+    with tempfile.TemporaryFile() as heard:
+        os.dup2(heard.fileno(), 2)
+        try:
+            wp.init()
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+        heard.seek(0)
+        for line in heard:
+            if _NO_DRIVER not in line:
+                os.write(2, line)
