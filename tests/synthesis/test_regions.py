@@ -145,6 +145,18 @@ def test_the_best_pair_of_each_ranking_is_first():
     assert r.score[0] == pytest.approx(best)
 
 
+def test_the_torque_ranking_starts_with_pairs_that_balance():
+    r = select_region_pairs(BOX, scene(500), CONFIG, np.random.default_rng(0))
+    by_lot = RegionConfig(score="random")
+    lot = select_region_pairs(BOX, scene(500), by_lot, np.random.default_rng(0))
+    regions = regions_of(BOX, 0.5, seed=9)  # other contacts than those that were ranked
+    longest = 0.5 * np.ptp(BOX.solid.vertices, axis=0).max()
+    ranked = balance_residuals(regions, r.anchors[:10], CONFIG, longest)
+    drawn = balance_residuals(regions, lot.anchors, CONFIG, longest)
+    assert np.median(ranked) < 0.1 * np.median(drawn)
+    assert np.all(r.score <= 0)
+
+
 def test_pairs_come_out_the_same_for_the_same_seed():
     a, b, c = (
         select_region_pairs(BOX, scene(400), CONFIG, np.random.default_rng(s)) for s in (5, 5, 6)
