@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bidexdata.devices import start_warp
 from bidexdata.pictures.camera import Camera
 from bidexdata.pictures.scene import Part
 
@@ -43,8 +44,7 @@ class RayScene:
     def __init__(self, parts: Sequence[Part], device: str = "cpu"):
         import warp as wp
 
-        wp.config.log_level = wp.LOG_WARNING
-        wp.init()
+        start_warp()
         # Warp cannot build a mesh of nothing: one far triangle without area stands in.
         nothing = Part(np.full((3, 3), 1e9), np.zeros((1, 3, 3)), _ONE_FACE, (0, 0, 0), "")
         used = [p for p in parts if len(p.faces)] or [nothing]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from bidexdata.devices import start_warp
 from bidexdata.objects.prepared import PreparedObject
 
 if TYPE_CHECKING:
@@ -125,8 +126,7 @@ def _members(
 
     from bidexdata.synthesis.regions_kernels import region_members_kernel
 
-    wp.config.log_level = wp.LOG_WARNING
-    wp.init()
+    start_warp()
     members = wp.empty((count, config.points), dtype=int, device="cpu")
     filled = wp.empty(count, dtype=int, device="cpu")
     wp.launch(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from bidexdata.devices import start_warp
 from bidexdata.synthesis.regions_build import Regions
 
 # Pairs tested at a time when walking down a ranking.
@@ -72,8 +73,7 @@ def regions_apart(
 
     from bidexdata.synthesis.regions_kernels import regions_apart_kernel
 
-    wp.config.log_level = wp.LOG_WARNING
-    wp.init()
+    start_warp()
     if not len(pairs):
         return np.zeros(0, bool)
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32
 
+from bidexdata.devices import start_warp
 from bidexdata.errors import BadConfig
 from bidexdata.wrench.qp_groups import Coupling, QPGroups, axis_targets, qp_groups
 
@@ -90,8 +91,7 @@ def allocate_contact_qp(
     """
     import warp as wp
 
-    wp.config.log_level = wp.LOG_WARNING
-    wp.init()
+    start_warp()
     targets = axis_targets() if targets is None else np.asarray(targets, np.float32)
     starts = np.arange(len(groups.contacts), dtype=np.int32) * groups.stride
     stops = starts + np.array(groups.contacts, np.int32)
