@@ -62,10 +62,9 @@ def _check_stl(data: bytes) -> None:
             raise PrepareFailure(Status.UNREADABLE, "the ASCII STL is cut off: no `endsolid`")
         return
     held = max(len(data) - 84, 0) // 50
-    if len(data) < expected or count == 0:
-        raise PrepareFailure(
-            Status.UNREADABLE, f"the STL header claims {count} triangles, the file holds {held}"
-        )
+    raise PrepareFailure(
+        Status.UNREADABLE, f"the STL header claims {count} triangles, the file holds {held}"
+    )
 
 
 def _check_obj(data: bytes) -> None:

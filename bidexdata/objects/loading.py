@@ -53,8 +53,10 @@ def load_mesh(path: Path, data: bytes, config: LoadConfig) -> LoadedMesh:
         raise PrepareFailure(Status.UNSUPPORTED, f"{suffix or 'no'} file type; known: {known}")
     container = check_container(suffix, data)
     vertices, faces = _read(path, suffix)
+    with np.errstate(invalid="ignore"):  # infinite coordinates are refused just below
+        turned = vertices @ container.R_world_file.T
     return unit_mesh(
-        TriangleMesh(vertices @ container.R_world_file.T, faces),
+        TriangleMesh(turned, faces),
         config,
         metres_per_unit=container.metres_per_unit,
         warnings=container.warnings,

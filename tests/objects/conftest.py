@@ -1,9 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
-import numpy as np
 import pytest
 
 from bidexdata.objects.closed import as_mesh
@@ -39,18 +37,3 @@ def ball() -> TriangleMesh:
     import manifold3d
 
     return as_mesh(manifold3d.Manifold.sphere(0.3, 96))
-
-
-def write_stl(path: Path, mesh: TriangleMesh) -> Path:
-    """Write a binary STL; every corner is its own vertex, as the format has it."""
-    record = np.zeros(len(mesh.faces), [("n", "<f4", 3), ("t", "<f4", (3, 3)), ("a", "<u2")])
-    record["t"] = mesh.vertices[mesh.faces]
-    path.write_bytes(b" " * 80 + len(mesh.faces).to_bytes(4, "little") + record.tobytes())
-    return path
-
-
-def write_obj(path: Path, mesh: TriangleMesh) -> Path:
-    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
-    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh.faces.tolist()]
-    path.write_text("\n".join(lines) + "\n")
-    return path

@@ -1,0 +1,173 @@
+"""Laws of the stage: a row per input, resumable, the same bytes whatever the workers."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from mesh_files import write_obj, write_stl
+
+from bidexdata.errors import ConfigConflict, NotUsable
+from bidexdata.objects.config import LimitsConfig, PrepareConfig, SdfConfig
+from bidexdata.objects.library import Library
+from bidexdata.record.status import Status
+from bidexdata.runs.prepare import PrepareReport, prepare_library
+
+
+@pytest.fixture
+def meshes(tmp_path: Path, box) -> Path:
+    """A good box, the same bytes again, points without faces, and half an STL."""
+    folder = tmp_path / "meshes"
+    folder.mkdir()
+    good = write_stl(folder / "a_box.stl", box)
+    (folder / "b_copy.stl").write_bytes(good.read_bytes())
+    (folder / "c_points.obj").write_text("v 0 0 0\nv 1 0 0\n")
+    (folder / "d_half.stl").write_bytes(good.read_bytes()[:300])
+    write_obj(folder / "e_box.obj", box)
+    return folder
+
+
+def run(sources, out: Path, config: PrepareConfig, **options) -> PrepareReport:
+    options = {"executor": "inline", "quiet": True, **options}
+    return prepare_library([str(s) for s in sources], out, config, **options)
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()
+    }
+
+
+def test_every_input_is_one_row_with_its_status(tmp_path, meshes, small):
+    report = run([meshes], tmp_path / "lib", small)
+    labels = [row["status_label"] for row in report.rows]
+    assert labels == ["ok", "duplicate", "no_faces", "unreadable", "ok"]
+    assert [r["source_name"] for r in report.rows] == sorted(p.name for p in meshes.iterdir())
+    assert report.rows[1]["duplicate_of"] == report.rows[0]["object_id"]
+    assert all(row["reason"] for row in report.rows if row["status"])
+    lib = Library.open(tmp_path / "lib")
+    assert lib.object_ids == (report.rows[0]["object_id"], report.rows[4]["object_id"])
+    assert lib.fingerprint == report.fingerprint
+    assert lib.load(lib.object_ids[0]).volume > 0
+    assert report.by_status == {"duplicate": 1, "no_faces": 1, "ok": 2, "unreadable": 1}
+    assert json.loads(json.dumps(report.as_dict()))["prepared"] == 2
+
+
+def test_worker_processes_give_the_bytes_of_one_process(tmp_path, meshes, small):
+    run([meshes, "shapes:bracket"], tmp_path / "inline", small)
+    run([meshes, "shapes:bracket"], tmp_path / "two", small, executor="processes", workers=2)
+    assert files(tmp_path / "inline") == files(tmp_path / "two")
+
+
+def test_a_second_run_makes_only_what_is_missing(tmp_path, meshes, small):
+    out = tmp_path / "lib"
+    first = run([meshes], out, small)
+    before = files(out)
+    stamps = {p: p.stat().st_mtime_ns for p in out.rglob("object.json")}
+    lost = Library.open(out).folder(first.rows[4]["object_id"])
+    for path in lost.iterdir():
+        path.unlink()
+    lost.rmdir()
+    (out / "index.parquet").unlink()
+    (lost.parent / f".{lost.name}.99.partial").mkdir()
+    again = run([meshes], out, small)
+    assert again.resumed == 1
+    assert files(out) == before
+    assert not list(out.rglob(".*"))
+    kept = [p for p, stamp in stamps.items() if p.stat().st_mtime_ns == stamp]
+    assert len(kept) == 1
+
+
+def test_a_folder_cut_short_is_made_again(tmp_path, meshes, small):
+    out = tmp_path / "lib"
+    report = run([meshes], out, small)
+    before = files(out)
+    (Library.open(out).folder(report.rows[0]["object_id"]) / "pieces.npz").unlink()
+    assert run([meshes], out, small).resumed == 1
+    assert files(out) == before
+
+
+def test_another_configuration_is_refused_with_the_key_that_differs(tmp_path, meshes, small):
+    out = tmp_path / "lib"
+    run([meshes], out, small)
+    before = files(out)
+    with pytest.raises(ConfigConflict, match=r"sdf\.cells: 40 -> 41") as caught:
+        run([meshes], out, replace(small, sdf=SdfConfig(cells=41)))
+    assert caught.value.exit_code == 5
+    assert files(out) == before
+    # Bounds on the worker decide whether there are bytes, not which.
+    longer = replace(small, limits=LimitsConfig(wall_seconds=1e4))
+    assert run([meshes], out, longer).resumed == 2
+
+
+def test_limit_takes_the_first_inputs(tmp_path, meshes, small):
+    report = run([meshes], tmp_path / "lib", small, limit=2)
+    assert [r["source_name"] for r in report.rows] == ["a_box.stl", "b_copy.stl"]
+    assert run([meshes], tmp_path / "lib", small).resumed == 1
+
+
+def test_a_dry_run_lists_the_inputs_and_writes_nothing(tmp_path, meshes, small):
+    report = run([meshes, "shapes"], tmp_path / "lib", small, dry_run=True)
+    assert len(report.rows) > 10
+    assert all(row["object_id"] for row in report.rows)
+    assert not (tmp_path / "lib").exists()
+
+
+def test_a_foreign_folder_is_left_alone(tmp_path, meshes, small):
+    out = tmp_path / "mine"
+    out.mkdir()
+    (out / "thesis.tex").write_text("x")
+    with pytest.raises(NotUsable, match=r"thesis\.tex"):
+        run([meshes], out, small)
+    with pytest.raises(NotUsable, match="file"):
+        run([meshes], out / "thesis.tex", small)
+
+
+def test_nothing_prepared_is_still_a_library_with_its_rows(tmp_path, meshes, small):
+    report = run([meshes / "c_points.obj"], tmp_path / "lib", small)
+    assert report.prepared == 0
+    assert Library.open(tmp_path / "lib").object_ids == ()
+    assert Library.open(tmp_path / "lib").index.num_rows == 1
+
+
+def test_a_worker_that_takes_too_long_or_dies_costs_one_row(tmp_path, meshes, small):
+    out = tmp_path / "lib"
+    hasty = replace(small, limits=LimitsConfig(wall_seconds=0.05))
+    report = run([meshes / "a_box.stl"], out, hasty, executor="processes", workers=1)
+    assert report.rows[0]["status"] == Status.TIMED_OUT
+    # A re-run tries it again.
+    again = run([meshes / "a_box.stl"], out, small)
+    assert again.rows[0]["status"] == Status.OK
+
+
+def test_listed_files_that_do_not_exist_are_rows(tmp_path, meshes, small):
+    listed = meshes / "list.txt"
+    listed.write_text("missing.obj\na_box.stl\n")
+    report = run([listed], tmp_path / "lib", small)
+    assert [r["status_label"] for r in report.rows] == ["unreadable", "ok"]
+
+
+def test_real_meshes_are_prepared_without_the_hull(tmp_path, shared):
+    train = shared / "objects" / "train"
+    names = ("duck.glb", "robosuite_cereal.obj", "aws_securitycamera.dae", "contactdb_table.stl")
+    report = run([train / n for n in names], tmp_path / "lib", PrepareConfig())
+    assert report.prepared == 4
+    assert report.hulls == 0
+    assert all(row["licence"] != "unknown" for row in report.rows)
+    assert all(row["hausdorff"] < 0.02 for row in report.rows)
+
+
+@pytest.mark.slow
+def test_hostile_files_give_rows_and_nothing_else(tmp_path, shared, small):
+    report = run([shared / "objects" / "nasty"], tmp_path / "lib", small, executor="processes")
+    assert len(report.rows) == 81
+    status = {r["source_name"]: r["status_label"] for r in report.rows}
+    assert not set(status.values()) & {"crashed", "timed_out"}
+    legal = {name for name in status if name.startswith("legal")}
+    assert {status[name] for name in legal} <= {"ok", "duplicate"}
+    assert status["draco_required.glb"] == "unsupported"
+    assert status["nan_vertices.stl"] == "not_finite_mesh"
+    assert status["flat_plane.stl"] == "no_volume"
+    assert status["point_cloud_no_faces.ply"] == "no_faces"
