@@ -162,12 +162,7 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
     if dataclasses.is_dataclass(hint):
         return from_plain(hint, value, where)  # type: ignore[arg-type]
     if origin is tuple:
-        if not isinstance(value, (list, tuple)):
-            raise BadConfig(f"{where} must be a list, not {value!r}")
-        kinds = [args[0]] * len(value) if args[-1] is Ellipsis else list(args)
-        if len(kinds) != len(value):
-            raise BadConfig(f"{where} needs {len(kinds)} values, got {len(value)}")
-        return tuple(_convert(k, v, where) for k, v in zip(kinds, value, strict=True))
+        return _tuple_of(args, value, where)
     if origin in (dict, Mapping):
         if not isinstance(value, Mapping):
             raise BadConfig(f"{where} must be a mapping of keys to values, not {value!r}")
@@ -176,13 +171,24 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
         if value not in args:
             raise BadConfig(f"{where} must be one of {', '.join(map(str, args))}, not {value!r}")
         return value
+    return _scalar_of(hint, value, where)
+
+
+def _tuple_of(kinds: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
+    if not isinstance(value, (list, tuple)):
+        raise BadConfig(f"{where} must be a list, not {value!r}")
+    kinds = (kinds[0],) * len(value) if kinds[-1] is Ellipsis else kinds
+    if len(kinds) != len(value):
+        raise BadConfig(f"{where} needs {len(kinds)} values, got {len(value)}")
+    return tuple(_convert(k, v, where) for k, v in zip(kinds, value, strict=True))
+
+
+def _scalar_of(hint: Any, value: Any, where: str) -> Any:
     if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
         return float(value)
     if hint is float and isinstance(value, str):
         return _float_of(value, where)
-    if hint in (int, bool, str) and type(value) is hint:
-        return value
-    if hint in (int, bool, str, float):
+    if hint in (int, bool, str, float) and type(value) is not hint:
         raise BadConfig(f"{where} must be {hint.__name__}, not {value!r}")
     return value
 
