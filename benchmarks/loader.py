@@ -7,6 +7,8 @@ disk.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,17 +37,16 @@ def measure() -> dict[str, Any]:
             data = BiDexDataset(release, split="train", cloud=cloud)
             lots = [rng.integers(0, len(data), BATCH).tolist() for _ in range(BATCHES)]
 
-            def work(data=data, lots=lots):
-                for rows in lots:
-                    data.__getitems__(rows)
-
+            work = partial(_gather, data.__getitems__, lots)
             figures[f"{name}_per_second"] = BATCH * BATCHES / median_seconds(work)
         width = sum(np.asarray(v).size for v in data[0].values() if not isinstance(v, str))
         raw = np.zeros((len(data), width), np.float32)
-
-        def gather():
-            for rows in lots:
-                np.take(raw, rows, axis=0)
-
-        figures["raw_gather_rows_with_clouds_per_second"] = BATCH * BATCHES / median_seconds(gather)
+        take = partial(np.take, raw, axis=0)
+        seconds = median_seconds(partial(_gather, take, lots))
+        figures["raw_gather_rows_with_clouds_per_second"] = BATCH * BATCHES / seconds
     return {**figures, "floats_per_row_with_cloud": width, "stored_rows": len(data)}
+
+
+def _gather(take: Callable[[list[int]], Any], lots: list[list[int]]) -> None:
+    for rows in lots:
+        take(rows)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import statistics
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,9 @@ import numpy as np
 from benchmarks.machine import median_seconds
 from benchmarks.objects import objects, scenes
 from bidexdata.config import fingerprint
-from bidexdata.synthesis.regions import RegionConfig, select_region_pairs
+from bidexdata.objects.prepared import PreparedObject
+from bidexdata.record import Scene
+from bidexdata.synthesis.regions import RegionConfig, RegionPairs, select_region_pairs
 
 
 def measure() -> dict[str, Any]:
@@ -22,12 +25,13 @@ def measure() -> dict[str, Any]:
         times, pairs = [], []
         for obj in objects():
             for scene in scenes(obj):
-
-                def work(obj=obj, scene=scene, config=config):
-                    return select_region_pairs(obj, scene, config, np.random.default_rng(0))
-
+                work = partial(_select, obj, scene, config)
                 times.append(1000 * median_seconds(work, repeats=3))
                 pairs.append(len(work().score))
         figures[f"{score}_ms_per_object_size"] = statistics.median(times)
         figures[f"{score}_pairs_kept_mean"] = statistics.mean(pairs)
     return figures
+
+
+def _select(obj: PreparedObject, scene: Scene, config: RegionConfig) -> RegionPairs:
+    return select_region_pairs(obj, scene, config, np.random.default_rng(0))

@@ -22,15 +22,15 @@ def quat_canonical(q: ArrayLike) -> Array:
     Raises:
         ValueError: A quaternion has zero length or is not finite.
     """
-    q = np.asarray(q, np.float64)
-    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    parts: Array = np.asarray(q, np.float64)
+    norm: Array = np.asarray(np.linalg.norm(parts, axis=-1, keepdims=True))
     if not np.all(np.isfinite(norm)) or np.any(norm < _TINY):
         raise ValueError("a quaternion of zero length or with non-finite parts has no rotation")
-    q = q / norm
+    unit: Array = np.asarray(parts / norm)
     # The sign of the first component that is not zero decides, w first.
-    nonzero = np.abs(q) > _TINY
+    nonzero = np.abs(unit) > _TINY
     first = np.argmax(nonzero, axis=-1)[..., None]
-    return q * np.sign(np.take_along_axis(q, first, axis=-1))
+    return np.asarray(unit * np.sign(np.take_along_axis(unit, first, axis=-1)), np.float64)
 
 
 def quat_multiply(a: ArrayLike, b: ArrayLike) -> Array:
@@ -174,9 +174,9 @@ def rotation_with_z(z: ArrayLike) -> Array:
     z = np.asarray(z, np.float64)
     helper = np.zeros_like(z)
     np.put_along_axis(helper, np.argmin(np.abs(z), axis=-1)[..., None], 1.0, axis=-1)
-    x = np.cross(helper, z)
-    x /= np.linalg.norm(x, axis=-1, keepdims=True)
-    return np.stack([x, np.cross(z, x), z], axis=-1)
+    x: Array = np.asarray(np.cross(helper, z), np.float64)
+    x = np.asarray(x / np.linalg.norm(x, axis=-1, keepdims=True), np.float64)
+    return np.stack([x, np.asarray(np.cross(z, x), np.float64), z], axis=-1)
 
 
 def xyzw_from_wxyz(q: ArrayLike) -> Array:
