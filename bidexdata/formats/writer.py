@@ -13,7 +13,7 @@ import shutil
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -43,11 +43,13 @@ from bidexdata.formats.rows import (
 )
 from bidexdata.formats.splits import SPLITS, split_objects
 from bidexdata.formats.tables import CONFIGURATIONS, SORTED_BY
-from bidexdata.hands.model import Hand
 from bidexdata.objects.library import object_folder
 from bidexdata.objects.prepared import PreparedObject
 from bidexdata.objects.storage import write_solid
 from bidexdata.record import Header
+
+if TYPE_CHECKING:
+    from bidexdata.hands.model import Hand
 
 Form = Literal["both", "parquet", "hdf5"]
 _VERSION = re.compile(r"(0|[1-9]\d*)\.(0|[1-9]\d*)\.(0|[1-9]\d*)")

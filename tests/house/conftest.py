@@ -1,0 +1,10 @@
+from pathlib import Path
+
+import pytest
+from made_release import made_release
+
+
+@pytest.fixture(scope="session")
+def packed(tmp_path_factory) -> Path:
+    """A made release; read only."""
+    return made_release(tmp_path_factory.mktemp("packed") / "release")
