@@ -3,8 +3,8 @@
 Definitions. N = grasps to keep per scene. *Unselected rate* = successes / N over the audit rows:
 every status other than OK is a failure, and a scene that could not fill its audit rows counts the
 missing ones as failures. *Selected rate* = successes / selected rows. *Kept share* = selected rows
-/ (N x scenes). Rates count only rows of runs that were tested. Metrics are means over selected
-rows where they were measured.
+/ (N x scenes); a scene of two runs counts twice here, and once among `scenes`. Rates count only rows
+of runs that were tested. Metrics are means over selected rows where they were measured.
 """
 
 from __future__ import annotations
@@ -79,12 +79,12 @@ class Tally:
             self._add_metrics(batch["size_mm"], selected, measured)
 
     def figures(self) -> dict[str, Any]:
-        """Plain data for cards, manifests and `--json`; keys are documented in docs/format.md."""
+        """Plain data for cards, manifests and `--json`; keys are documented in docs/conventions.md."""
         sizes = sorted({size for _, size in self._scenes.values()})
         first = self.tests[0]
         out: dict[str, Any] = {
             "objects": len({obj for obj, _ in self._scenes.values()}),
-            "scenes": len(self._scenes),
+            "scenes": len({scene for _, scene in self._scenes}),
             "n": self._rows["stored"],
             "selected_rows": self._rows["selected"],
             "audit_rows": self._rows["audit"],

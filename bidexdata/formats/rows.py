@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from bidexdata.errors import NotUsable
 from bidexdata.formats.tables import (
     CONTACT_COLUMNS,
     GRASP_COLUMNS,
@@ -80,8 +81,8 @@ def join_rows(
     """Join the rows of one object over its runs and sort them.
 
     Raises:
-        BadRecord: Another hand or object, a verdict table that was not announced, or the same
-            grasp_id twice.
+        NotUsable: Rows of another hand, or the same grasp_id twice: these runs do not go together.
+        BadRecord: Another object, or a verdict table that was not announced.
     """
     parts = [_checked(object_id, part, header, tests) for part in parts]
     columns = (
@@ -162,7 +163,7 @@ def _checked(
     batch = part.batch
     if batch.header.hands != header.hands:
         theirs = ", ".join(f"{h.name} {h.side} {h.spec_hash[:8]}" for h in batch.header.hands)
-        raise BadRecord(f"run {part.run}: its hands ({theirs}) are not those of the release")
+        raise NotUsable(f"run {part.run}: its hands ({theirs}) are not those of the release")
     other = sorted(set(batch["object_id"].tolist()) - {object_id})
     if other:
         raise BadRecord(f"run {part.run}: rows of {other[0]} were given as rows of {object_id}")
@@ -197,7 +198,7 @@ def _refuse_duplicates(rows: ObjectRows) -> None:
     if np.any(counts > 1):
         twice = ids[counts > 1][0]
         runs = sorted(set(rows.run[rows.batch["grasp_id"] == twice].tolist()))
-        raise BadRecord(
+        raise NotUsable(
             f"grasp {twice} of {rows.batch['object_id'][first[0]]} is there twice "
             f"(in {', '.join(runs)}); pack every run once"
         )

@@ -104,8 +104,9 @@ def write_release(
         on_object: Called after each object's rows, for progress.
 
     Raises:
-        NotUsable: The target is not empty, or a name or version cannot be used.
-        BadRecord: Rows of another hand, or the same grasp twice.
+        NotUsable: The target is not empty, a name or version cannot be used, rows are of another
+            hand, or the same grasp is there twice.
+        BadRecord: Rows are not those of their object, or of a test that was not announced.
     """
     out = Path(out)
     _check_names(out, name, version, form)

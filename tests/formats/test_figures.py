@@ -1,5 +1,7 @@
 """Rates by their definitions, counted by hand."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from made_release import made_hands
@@ -125,12 +127,37 @@ def test_a_scene_grown_in_two_rounds_counts_its_target_once():
     assert (other_run.figures()["tests"]["f"]["unselected"]["n"]) == 4
 
 
+def test_a_scene_of_two_runs_is_one_scene_and_two_targets():
+    tally = Tally()
+    both = batch([(A, True, True, Status.OK), (B, True, True, Status.OK)])
+    tally.add(both, verdicts([True, True]), run="r", grasps=2)
+    tally.add(batch([(A, True, True, Status.OK)]), verdicts([True]), run="s", grasps=2)
+    figures = tally.figures()
+    assert (figures["objects"], figures["scenes"]) == (1, 2)
+    # Three kept grasps where three pairs of run and scene wanted two each.
+    assert figures["kept"] == pytest.approx(3 / 6)
+    assert figures["by_size"]["300"]["kept"] == pytest.approx(2 / 4)
+
+
 def test_metrics_are_means_over_selected_rows_that_were_measured():
     rows = [(A, True, False, Status.OK), (A, True, False, Status.OK), (A, False, True, Status.OK)]
     tally = Tally()
     tally.add(batch(rows), verdicts([True] * 3, [0.002, np.nan, 0.5]), run="r", grasps=2)
     assert tally.figures()["pd"] == pytest.approx(0.002)
     assert tally.figures()["by_size"]["300"]["cdc"] == pytest.approx(0.002)
+
+
+def test_every_key_of_the_figures_is_documented():
+    tally = Tally(("f", "l"))
+    one = batch([(A, True, True, Status.OK)])
+    both = {t: verdicts([True])["f"] for t in ("f", "l")}
+    tally.add(one, both, run="r", grasps=2)
+    figures = tally.figures()
+    page = Path(__file__).resolve().parents[2] / "docs" / "conventions.md"
+    section = page.read_text(encoding="utf-8").split("\n## Figures\n")[1]
+    keys = {*figures, *figures["tests"]["f"], *figures["tests"]["f"]["selected"]}
+    keys |= {k for k in figures["by_size"]["300"] if not k.endswith("_l")}
+    assert not [k for k in sorted(keys) if f"`{k}`" not in section]
 
 
 def test_parts_add_up_whatever_the_order():

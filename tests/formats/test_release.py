@@ -217,9 +217,10 @@ def test_the_same_grasp_twice_is_refused_by_name(tmp_path):
     other = replace(rows, run="copy")
     runs = [RunInfo(n, "f" * 16, 4) for n in ("run", "copy")]
     with pytest.raises(
-        BadRecord, match=r"grasp [0-9a-f]{16} of box-aaaaaaaa is there twice \(in copy, run\)"
-    ):
+        NotUsable, match=r"grasp [0-9a-f]{16} of box-aaaaaaaa is there twice \(in copy, run\)"
+    ) as refused:
         made_release(tmp_path / "r", (OBJECT,), runs=runs, rows_of=lambda _: [rows, other])
+    assert refused.value.exit_code == 3  # the command line names runs that do not go together
 
 
 def test_rows_of_other_hands_objects_or_runs_are_refused(tmp_path):
@@ -229,7 +230,7 @@ def test_rows_of_other_hands_objects_or_runs_are_refused(tmp_path):
             (
                 {"rows_of": lambda o: [made_rows(o, hands=(other_hand, made_hand("right")))]},
                 "hands",
-                BadRecord,
+                NotUsable,
             ),
             ({"rows_of": lambda _: [made_rows(OBJECTS[1])]}, "were given as rows of", BadRecord),
             ({"rows_of": lambda o: [made_rows(o, run="stranger")]}, "'stranger'", NotUsable),
