@@ -11,6 +11,7 @@ from string import Template
 from typing import Any
 
 from bidexdata.formats import parquet
+from bidexdata.objects.sources.item import UNKNOWN
 from bidexdata.record.rates import Rate
 
 CARD = "DATASET_CARD.md"
@@ -129,7 +130,7 @@ def _licences(root: Path) -> str:
     lines = []
     for (licence, source), count in sorted(counts.items()):
         authors = {r["author"] for r in rows if (r["licence"], r["source"]) == (licence, source)}
-        lines.append((licence or "(unknown)", source or "(unknown)", count, len(authors - {""})))
+        lines.append((licence, source, count, len(authors - {UNKNOWN})))
     return _markdown(("licence", "source", "objects", "named authors"), lines)
 
 

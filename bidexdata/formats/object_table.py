@@ -14,6 +14,7 @@ from bidexdata.config import canonical_json
 from bidexdata.formats.rows import ObjectRows, ReleaseRows, RunInfo
 from bidexdata.formats.tables import OBJECT_FIELDS, RUN_FIELDS, SCENE_FIELDS, plain_schema
 from bidexdata.objects.prepared import Solid
+from bidexdata.objects.sources.item import UNKNOWN
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -33,9 +34,9 @@ def shape_hash(solid: Solid) -> str:
 def object_row(solid: Solid, shape: str) -> dict[str, Any]:
     """Row of the objects table, without `cloud_index` and `split`."""
     known = solid.provenance
-    text = {
-        key: str(known.get(key) or "")
-        for key in ("source", "source_name", "source_sha256", "licence", "author", "category")
+    text = {key: str(known.get(key) or "") for key in ("source_name", "source_sha256")}
+    text |= {
+        key: str(known.get(key) or UNKNOWN) for key in ("source", "licence", "author", "category")
     }
     return {
         "object_id": solid.object_id,

@@ -1,11 +1,13 @@
 import re
+from dataclasses import replace
 
 import pytest
 import yaml
-from made_release import OBJECTS, made_release
+from made_release import OBJECTS, made_object, made_release
 
 from bidexdata.formats.card import rate_text
 from bidexdata.formats.release import Release
+from bidexdata.objects.sources.item import UNKNOWN
 from bidexdata.record.rates import rate_interval
 
 
@@ -44,6 +46,26 @@ def test_hub_metadata_lists_splits_that_have_rows(packed, tmp_path):
     splits = [e["split"] for e in data["configs"][0]["data_files"]]
     assert splits == ["train"]
     assert data["license"] == "cc0-1.0"
+
+
+def test_what_the_source_does_not_state_is_unknown_and_counts_as_no_author(tmp_path, monkeypatch):
+    # As `prepare` stores a bare mesh file (the word), and as a sparse list file may leave it (empty).
+    for stored in (UNKNOWN, ""):
+        origin = dict.fromkeys(("source", "licence", "author", "category"), stored)
+
+        def unlicensed(object_id, origin=origin):
+            obj = made_object(object_id)
+            return replace(obj, provenance={**obj.provenance, **origin})
+
+        monkeypatch.setattr("made_release.made_object", unlicensed)
+        out = made_release(tmp_path / f"r{stored}", OBJECTS[:1])
+        card = (out / "DATASET_CARD.md").read_text()
+        assert "| licence | source | objects | named authors |" in card
+        assert "| unknown | unknown | 1 | 0 |" in card
+        assert "The licence `unknown` means that the source states none" in card
+        assert front_matter((out / "README.md").read_text())["license"] == "other"
+        row = Release.open(out).objects.to_pylist()[0]
+        assert {row[k] for k in origin} == {UNKNOWN}
 
 
 def test_hub_readers_see_fixed_size_rows(packed):
