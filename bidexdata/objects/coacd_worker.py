@@ -1,4 +1,4 @@
-"""Child process of `convex`: one CoACD call under a limit of CPU time.
+"""Child process of `coacd_process`: one CoACD call under a limit of CPU time.
 
 CoACD cannot be interrupted from inside and ends the process on some inputs, so it never runs in
 the process that asks. Input and output are npz archives on standard input and output.

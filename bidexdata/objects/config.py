@@ -34,6 +34,8 @@ class RepairConfig:
     """A part of the surface is lost when the remeshed surface is farther away, in cells."""
     simplify_cells: float = 0.15
     """Tolerance of the simplification after a remesh, in cells."""
+    min_part: float = 1e-5
+    """Closed components below this share of the total volume are dropped as specks."""
     max_components: int = 3000
     """Closed components above which they are not united but remeshed."""
     display_faces: int = 20_000

@@ -1,24 +1,19 @@
 """Convex pieces of a closed solid.
 
-A solid that fills its hull is one piece. Everything else goes to CoACD in a child process with a
-limit of CPU seconds, then to a cheaper second try, and at last it becomes its hull, which the
-method's name says. Whether two runs agree can depend on the CPU limit only, and that is recorded.
+A solid that fills its hull is one piece. Everything else goes to CoACD under a limit of CPU
+seconds, then to a cheaper second try, and at last it becomes its hull, which the method's name
+says. Whether two runs agree can depend on the CPU limit only, and that is recorded.
 """
 
 from __future__ import annotations
 
-import io
-import json
-import logging
-import os
-import subprocess
-import sys
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.objects.closed import as_manifold, as_mesh, convex_hull, thinnest
+from bidexdata.objects.coacd_process import run_coacd
 from bidexdata.objects.config import ConvexConfig
 from bidexdata.objects.cuts import overlap_cuts
 from bidexdata.objects.failure import PrepareFailure
@@ -29,10 +24,6 @@ from bidexdata.record.status import Status
 if TYPE_CHECKING:
     from manifold3d import Manifold
 
-_log = logging.getLogger(__name__)
-
-_WALL_PER_CPU = 6.0
-"""Wall-clock seconds granted per CPU second: the machine may be busy with other work."""
 _FLAT = 1e-5
 """Pieces thinner than this (unit diagonal) have no volume that a simulator accepts."""
 _COARSEST = 0.008
@@ -46,7 +37,7 @@ class Decomposition(NamedTuple):
 
     pieces: tuple[TriangleMesh, ...]
     method: str
-    """`convex`, `coacd`, `coacd_second` or `hull` (the last answer)."""
+    """`convex`, `coacd`, `coacd_turned`, `coacd_second` or `hull` (the last answer)."""
     warnings: tuple[str, ...]
 
 
@@ -66,30 +57,59 @@ def decompose(mesh: TriangleMesh, config: ConvexConfig) -> Decomposition:
         return Decomposition((_few_vertices(hull, config),), "convex", ())
 
     simple = _simplified(solid, config)
-    warnings = []
     thin = solid.volume() / solid.surface_area() < config.thin_ratio
-    tries = (
-        (
-            "coacd",
-            config.thin_threshold if thin else config.threshold,
-            config.max_pieces,
-            config.cpu_seconds,
-        ),
-        (
-            "coacd_second",
-            config.second_threshold,
-            config.second_max_pieces,
-            config.second_cpu_seconds,
-        ),
-    )
-    for method, threshold, most, seconds in tries:
-        raw, reason = _run_coacd(simple, config, threshold, most, seconds)
-        pieces = _solid_pieces(raw, mesh, config)
+    warnings: list[str] = []
+    out_of_time = False
+    for attempt in _attempts(config, thin):
+        if attempt.after_death and out_of_time:
+            continue
+        found = run_coacd(simple, attempt.options, attempt.cpu_seconds)
+        pieces = _solid_pieces(found.pieces, mesh, config)
         if pieces:
-            return Decomposition(pieces, method, tuple(warnings))
-        warnings.append(f"{method} {reason or 'gave no piece with a volume'}")
+            return Decomposition(pieces, attempt.method, tuple(warnings))
+        out_of_time = out_of_time or found.out_of_time
+        warnings.append(f"{attempt.method} {found.reason or 'gave no piece with a volume'}")
     warnings.append("replaced by its hull")
     return Decomposition((_few_vertices(hull, config),), "hull", tuple(warnings))
+
+
+class _Attempt(NamedTuple):
+    """One search: what it is called, what CoACD is told, how long it may take."""
+
+    method: str
+    options: dict[str, Any]
+    cpu_seconds: int
+    after_death: bool = False
+
+
+def _attempts(config: ConvexConfig, thin: bool) -> tuple[_Attempt, ...]:
+    """The searches in order.
+
+    CoACD dies on some meshes whose faces lie in its cutting planes (an extruded L does it):
+    turned to its principal axes the same mesh passes.
+    """
+    first = {
+        "threshold": config.thin_threshold if thin else config.threshold,
+        "max_convex_hull": config.max_pieces,
+        "preprocess_mode": "off",
+        "resolution": config.resolution,
+        "mcts_nodes": config.mcts_nodes,
+        "mcts_iterations": config.mcts_iterations,
+        "mcts_max_depth": config.mcts_max_depth,
+        # Its decimation makes pieces smaller than their part; ours keeps their volume.
+        "decimate": False,
+        "seed": 0,
+    }
+    cheaper = {
+        **first,
+        "threshold": config.second_threshold,
+        "max_convex_hull": config.second_max_pieces,
+    }
+    return (
+        _Attempt("coacd", first, config.cpu_seconds),
+        _Attempt("coacd_turned", {**first, "pca": True}, config.cpu_seconds, after_death=True),
+        _Attempt("coacd_second", cheaper, config.second_cpu_seconds),
+    )
 
 
 def _simplified(solid: Manifold, config: ConvexConfig) -> TriangleMesh:
@@ -100,62 +120,6 @@ def _simplified(solid: Manifold, config: ConvexConfig) -> TriangleMesh:
         tolerance *= 1.4
         simple = solid.simplify(tolerance)
     return as_mesh(simple)
-
-
-def _run_coacd(
-    mesh: TriangleMesh, config: ConvexConfig, threshold: float, most: int, seconds: int
-) -> tuple[list[NDArray[np.float64]], str]:
-    """Return the vertices of the raw pieces, or none and a reason."""
-    problem = _unsafe(mesh)
-    if problem:
-        return [], problem
-    options = {
-        "threshold": threshold,
-        "max_convex_hull": most,
-        "preprocess_mode": "off",
-        "resolution": config.resolution,
-        "mcts_nodes": config.mcts_nodes,
-        "mcts_iterations": config.mcts_iterations,
-        "mcts_max_depth": config.mcts_max_depth,
-        "decimate": False,
-        "seed": 0,
-        "cpu_seconds": seconds,
-    }
-    buffer = io.BytesIO()
-    np.savez(
-        buffer, vertices=mesh.vertices, faces=mesh.faces, options=np.array(json.dumps(options))
-    )
-    command = [sys.executable, "-m", "bidexdata.objects.coacd_worker"]
-    # One thread: the pieces must not depend on the number of cores.
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
-    try:
-        done = subprocess.run(
-            command,
-            input=buffer.getvalue(),
-            capture_output=True,
-            timeout=_WALL_PER_CPU * seconds,
-            env=environment,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return [], f"did not end within {_WALL_PER_CPU * seconds:.0f} s"
-    if done.returncode != 0:
-        _log.debug("CoACD: %s", done.stderr.decode(errors="replace")[-2000:])
-        ended = "reached its limit" if done.returncode in (-24, -9) else "died"
-        return [], f"{ended} (limit {seconds} CPU s, exit status {done.returncode})"
-    answer = np.load(io.BytesIO(done.stdout), allow_pickle=False)
-    return [answer[f"v{k}"] for k in range(int(answer["count"]))], ""
-
-
-def _unsafe(mesh: TriangleMesh) -> str:
-    """Name what would make CoACD abort or hang; empty when the mesh is fit."""
-    if len(mesh.faces) < 4:
-        return "was given too few faces"
-    if not np.all(np.isfinite(mesh.vertices)):
-        return "was given vertices that are not finite"
-    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        return "was given face indices out of range"
-    return ""
 
 
 def _solid_pieces(

@@ -40,6 +40,8 @@ _GENERIC = frozenset(
 )
 """Names of files and folders that say nothing of the object; the folder above names it then."""
 
+_SHRUNK = 0.95
+"""Share of the diagonal below which a repaired mesh is scaled anew."""
 _SLIVER = 1e-5
 """Tolerance at which the needles that a union leaves are collapsed; searches are in float32."""
 
@@ -75,7 +77,7 @@ def prepare_object(
     else:
         assert item.path is not None
         loaded = load_mesh(item.path, data, config.load)
-    repaired = repair(loaded.mesh, config.repair)
+    repaired, loaded = _rescaled(repair(loaded.mesh, config.repair), loaded)
     split = decompose(repaired.mesh, config.convex)
     solid = _solid_of(split.pieces)
     provenance = _provenance(item, data, loaded, repaired, split, solid, config)
@@ -109,6 +111,21 @@ def object_id_of(item: SourceItem, data: bytes) -> str:
         name = next((p for p in parts if p.lower() not in _GENERIC), item.path.stem)
     slug = re.sub(r"[^a-z0-9_-]+", "-", name.lower()).strip("-")[:48] or "object"
     return f"{slug}-{hashlib.sha256(data).hexdigest()[:8]}"
+
+
+def _rescaled(repaired: Repaired, loaded: LoadedMesh) -> tuple[Repaired, LoadedMesh]:
+    """Scale to unit diagonal again where the repair dropped far specks that had set the scale."""
+    low, high = repaired.mesh.vertices.min(axis=0), repaired.mesh.vertices.max(axis=0)
+    diagonal, middle = float(np.linalg.norm(high - low)), (low + high) / 2
+    if diagonal > _SHRUNK:
+        return repaired, loaded
+
+    def scaled(mesh: TriangleMesh) -> TriangleMesh:
+        return TriangleMesh((mesh.vertices - middle) / diagonal, mesh.faces)
+
+    repaired = repaired._replace(mesh=scaled(repaired.mesh), source=scaled(repaired.source))
+    centre = loaded.centre + loaded.diagonal * middle
+    return repaired, loaded._replace(centre=centre, diagonal=loaded.diagonal * diagonal)
 
 
 class _UnitSolid(NamedTuple):
@@ -218,7 +235,7 @@ def _provenance(
         "origin_in_file": [float(x) for x in in_file],
         "unit_in_file": loaded.diagonal * solid.diagonal,
         "repair": repaired.method,
-        "hausdorff": hausdorff(repaired.mesh, loaded.mesh, samples),
+        "hausdorff": hausdorff(repaired.mesh, repaired.source, samples),
         "piece_method": split.method,
         "pieces": len(split.pieces),
         "volume_ratio": solid.volume * solid.diagonal**3 / volume,

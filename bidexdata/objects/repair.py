@@ -1,7 +1,7 @@
 """From triangles to one closed solid: the lightest repair that works.
 
-In order: weld; weld cracked seams; fix winding and fill small holes; keep the closed components
-and drop crumbs; remesh from the winding number. Each test is whether manifold3d accepts the
+In order: weld; fix winding and fill small holes; keep the closed components and drop crumbs; weld
+cracked seams; remesh from the winding number. Each test is whether manifold3d accepts the
 result as closed and oriented with a positive volume. All lengths are fractions of the diagonal.
 """
 
@@ -41,6 +41,8 @@ class Repaired(NamedTuple):
     method: str
     """`as_is`, `loose_weld`, `light`, `components`, `remesh` or `remesh_shell`."""
     warnings: tuple[str, ...]
+    source: TriangleMesh
+    """The input after the weld, without copies of faces: what deviations are measured to."""
 
 
 def repair(mesh: TriangleMesh, config: RepairConfig) -> Repaired:
@@ -54,29 +56,29 @@ def repair(mesh: TriangleMesh, config: RepairConfig) -> Repaired:
     welded = weld(mesh, config.weld)
     if len(welded.faces) == 0:
         raise PrepareFailure(Status.NO_VOLUME, "every face is a line or a point")
-    tries: tuple[tuple[str, Callable[[], TriangleMesh | None]], ...] = (
-        ("as_is", lambda: welded),
+    tries: tuple[tuple[str, Callable[[], _Closed | None]], ...] = (
+        ("as_is", lambda: _one_solid(welded, config)),
+        ("light", lambda: _one_solid(_light_repair(welded), config)),
+        ("components", lambda: _closed_components(welded, config)),
         ("loose_weld", lambda: _loosely_welded(welded, config)),
-        ("light", lambda: _light_repair(welded)),
     )
     for method, attempt in tries:
-        candidate = attempt()
-        found = None if candidate is None else _one_solid(candidate, config)
+        found = attempt()
         if found:
-            return Repaired(found[0], method, found[1])
-    crumbs = _closed_components(welded, config)
-    if crumbs:
-        return Repaired(crumbs[0], "components", crumbs[1])
+            return Repaired(found.mesh, method, found.warnings, welded)
     made, method, warnings = remesh(welded, config)
     found = _one_solid(made, config)
     if not found:
         raise PrepareFailure(Status.NO_VOLUME, "the remeshed surface encloses nothing")
-    return Repaired(found[0], method, warnings + found[1])
+    return Repaired(found.mesh, method, warnings + found.warnings, welded)
 
 
-def _one_solid(
-    mesh: TriangleMesh, config: RepairConfig
-) -> tuple[TriangleMesh, tuple[str, ...]] | None:
+class _Closed(NamedTuple):
+    mesh: TriangleMesh
+    warnings: tuple[str, ...]
+
+
+def _one_solid(mesh: TriangleMesh, config: RepairConfig) -> _Closed | None:
     """Unite the components of a closed mesh; None when it is not closed or has no volume.
 
     Inward components are cavities where they lie inside another one, and are filled: convex
@@ -89,24 +91,28 @@ def _one_solid(
     if len(parts) == 1:
         if abs(solid.volume()) < _NO_VOLUME:
             return None
-        return as_mesh(_outward(solid)), _turned(solid)
+        return _Closed(as_mesh(_outward(solid)), _turned(solid))
     if len(parts) > config.max_components:
         return None
-    outer = [p for p in parts if p.volume() > _NO_VOLUME]
-    inner = [p for p in parts if p.volume() < -_NO_VOLUME]
+    outer = [p for p in parts if p.volume() > 0]
+    inner = [p for p in parts if p.volume() < 0]
     cavities = [p for p in inner if _lies_inside(p, outer)]
     wrong = [_outward(p) for p in inner if not any(p is c for c in cavities)]
-    if not outer and not wrong:
+    total = sum(p.volume() for p in outer + wrong)
+    if total < _NO_VOLUME:
         return None
     warnings = []
     if cavities:
         warnings.append(f"{len(cavities)} inner cavities filled")
     if wrong:
         warnings.append(f"{len(wrong)} components turned outward")
-    whole = union(outer + wrong)
+    kept = [p for p in outer + wrong if p.volume() >= config.min_part * total]
+    if len(kept) < len(outer) + len(wrong):
+        warnings.append(f"{len(outer) + len(wrong) - len(kept)} specks dropped")
+    whole = union(kept)
     if whole.is_empty() or whole.volume() < _NO_VOLUME:
         return None
-    return as_mesh(_without_cavities(whole)), tuple(warnings)
+    return _Closed(as_mesh(_without_cavities(whole)), tuple(warnings))
 
 
 def _without_cavities(solid: Manifold) -> Manifold:
@@ -132,14 +138,19 @@ def _turned(solid: Manifold) -> tuple[str, ...]:
 def _lies_inside(part: Manifold, others: list[Manifold]) -> bool:
     """Tell whether a vertex of `part` is inside one of the other closed parts."""
     point = as_mesh(part).vertices[0]
-    return any(winding_number(as_mesh(other), point) > 0.5 for other in others)
+    for other in others:
+        box = np.reshape(other.bounding_box(), (2, 3))
+        within = np.all(point > box[0]) and np.all(point < box[1])
+        if within and winding_number(as_mesh(other), point) > 0.5:
+            return True
+    return False
 
 
-def _loosely_welded(mesh: TriangleMesh, config: RepairConfig) -> TriangleMesh | None:
+def _loosely_welded(mesh: TriangleMesh, config: RepairConfig) -> _Closed | None:
     looser = weld(mesh, config.loose_weld)
     if len(looser.faces) == 0 or surface_area(looser) < _AREA_KEPT * surface_area(mesh):
         return None
-    return looser
+    return _one_solid(looser, config)
 
 
 def _light_repair(mesh: TriangleMesh) -> TriangleMesh:
@@ -153,9 +164,7 @@ def _light_repair(mesh: TriangleMesh) -> TriangleMesh:
     return TriangleMesh(np.asarray(made.vertices), np.asarray(made.faces, np.int32))
 
 
-def _closed_components(
-    mesh: TriangleMesh, config: RepairConfig
-) -> tuple[TriangleMesh, tuple[str, ...]] | None:
+def _closed_components(mesh: TriangleMesh, config: RepairConfig) -> _Closed | None:
     """Keep the closed components when the open ones are crumbs."""
     import trimesh
 
@@ -182,7 +191,8 @@ def _closed_components(
     found = _one_solid(_joined(closed), config) if closed else None
     if not found:
         return None
-    return found[0], (*found[1], f"open parts with {dropped / total:.1%} of the area dropped")
+    share = f"open parts with {dropped / total:.1%} of the area dropped"
+    return _Closed(found.mesh, (*found.warnings, share))
 
 
 def _joined(parts: list[TriangleMesh]) -> TriangleMesh:

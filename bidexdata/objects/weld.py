@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bidexdata.objects.prepared import TriangleMesh
+
+_CROWDED = 4
+"""Faces per vertex above which there must be copies: a closed mesh has about two."""
 
 
 def weld(mesh: TriangleMesh, tolerance: float) -> TriangleMesh:
@@ -32,5 +36,14 @@ def weld(mesh: TriangleMesh, tolerance: float) -> TriangleMesh:
     faces = number[mesh.faces]
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
+    if len(faces) > _CROWDED * len(vertices):
+        faces = _without_copies(faces)
     used, faces = np.unique(faces, return_inverse=True)
     return TriangleMesh(vertices[used], faces.reshape(-1, 3).astype(np.int32))
+
+
+def _without_copies(faces: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Keep one of each set of faces with the same corners in the same cyclic order."""
+    first = np.argmin(faces, axis=1)[:, None]
+    turned = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
+    return np.unique(turned, axis=0)

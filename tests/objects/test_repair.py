@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from bidexdata.objects.closed import as_manifold, as_mesh
-from bidexdata.objects.config import RepairConfig
+from bidexdata.objects.config import PrepareConfig, RepairConfig, SdfConfig, SurfaceConfig
 from bidexdata.objects.deviation import hausdorff
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.physics import mass_properties
+from bidexdata.objects.prepare import prepare_object
 from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.remesh import winding_number
 from bidexdata.objects.repair import repair
@@ -18,6 +19,7 @@ from bidexdata.objects.weld import weld
 from bidexdata.record.status import Status
 
 CONFIG = RepairConfig()
+COARSE = PrepareConfig(sdf=SdfConfig(cells=24), surface=SurfaceConfig(points=100))
 CELL = 1 / CONFIG.remesh_cells
 FLOAT32 = 1e-6  # distances are searched in float32
 
@@ -189,3 +191,12 @@ def test_hausdorff_of_shifted_boxes_is_the_shift_and_ignores_swallowed_walls(box
     inner = TriangleMesh(0.3 * box.vertices, box.faces)
     assert hausdorff(box, joined(box, inner), 500) < FLOAT32
     assert mass_properties(joined(box, inner)).volume > 0.09
+
+
+def test_specks_are_dropped_and_the_object_keeps_its_scale(ball):
+    specks = [TriangleMesh(0.002 * ball.vertices + [x, 0, 0], ball.faces) for x in (5.0, -7.0)]
+    alone = prepare_object(ball, COARSE)
+    among = prepare_object(joined(ball, *specks), COARSE)
+    assert among.volume == pytest.approx(alone.volume, rel=0.05)  # 64 vertices each
+    assert among.provenance["unit_in_file"] == pytest.approx(0.6 * np.sqrt(3), rel=0.05)
+    assert "2 specks dropped" in among.provenance["warnings"]

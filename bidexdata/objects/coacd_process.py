@@ -1,0 +1,93 @@
+"""One CoACD search in a child process under a limit of CPU seconds.
+
+CoACD cannot be interrupted, has no bound of its own, and ends the process on some inputs.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bidexdata.objects.failure import PrepareFailure
+from bidexdata.objects.prepared import TriangleMesh
+from bidexdata.record.status import Status
+
+_log = logging.getLogger(__name__)
+
+_WALL_PER_CPU = 10.0
+"""Wall-clock seconds granted per CPU second: the machine may be busy with other work."""
+
+
+class Search(NamedTuple):
+    """What a search gave."""
+
+    pieces: list[NDArray[np.float64]]
+    """Vertices of each raw piece; none when the search failed."""
+    reason: str
+    """Why it failed; empty when it did not."""
+    out_of_time: bool
+    """Whether it failed because its CPU seconds were used up."""
+
+
+def run_coacd(mesh: TriangleMesh, options: Mapping[str, Any], cpu_seconds: int) -> Search:
+    """Search convex pieces of a closed mesh.
+
+    Args:
+        mesh: Closed, oriented, finite.
+        options: Keyword arguments of `coacd.run_coacd`.
+        cpu_seconds: The system ends the search after so many.
+
+    Raises:
+        PrepareFailure: `timed_out`, when the machine did not even give it those CPU seconds:
+            a wall clock must not decide which pieces an object has.
+    """
+    problem = _unsafe(mesh)
+    if problem:
+        return Search([], problem, False)
+    text = json.dumps({**options, "cpu_seconds": cpu_seconds})
+    buffer = io.BytesIO()
+    np.savez(buffer, vertices=mesh.vertices, faces=mesh.faces, options=np.array(text))
+    # One thread: the pieces must not depend on the number of cores.
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    wall = _WALL_PER_CPU * cpu_seconds
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "bidexdata.objects.coacd_worker"],
+            input=buffer.getvalue(),
+            capture_output=True,
+            timeout=wall,
+            env=environment,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as err:
+        raise PrepareFailure(
+            Status.TIMED_OUT, f"the decomposition did not get {cpu_seconds} CPU s in {wall:.0f} s"
+        ) from err
+    if done.returncode != 0:
+        _log.debug("CoACD: %s", done.stderr.decode(errors="replace")[-2000:])
+        late = done.returncode in (-signal.SIGXCPU, -signal.SIGKILL)
+        ended = f"used up its {cpu_seconds} CPU s" if late else f"died ({done.returncode})"
+        return Search([], ended, late)
+    answer = np.load(io.BytesIO(done.stdout), allow_pickle=False)
+    return Search([answer[f"v{k}"] for k in range(int(answer["count"]))], "", False)
+
+
+def _unsafe(mesh: TriangleMesh) -> str:
+    """Name what would make CoACD abort or hang; empty when the mesh is fit."""
+    if len(mesh.faces) < 4:
+        return "was given too few faces"
+    if not np.all(np.isfinite(mesh.vertices)):
+        return "was given vertices that are not finite"
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        return "was given face indices out of range"
+    return ""
