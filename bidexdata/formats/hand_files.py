@@ -1,8 +1,9 @@
-"""The hands of a release: `hands/<name>/<side>/{hand.xml, tree.json}`.
+"""The hands of a release: `hands/<name>/<side>/{hand.xml, tree.json}`, `hands/<name>/LICENSE`.
 
 `hand.xml` is the MJCF as it was simulated, with the names of its mesh files but not the files;
 `tree.json` holds the kinematic tree, contact points, limits, licence and the hashes of all assets,
-so that a reader in any language can pose the hand without MuJoCo.
+so that a reader in any language can pose the hand without MuJoCo. `LICENSE` is the text that came
+with the hand's source, for `hand.xml` is derived from it.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from bidexdata.record import HandHeader
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
 
-_NOT_DATA = ("make_spec",)
+_NOT_DATA = ("make_spec", "licence_text")
 
 
 def hand_folder(name: str, side: str) -> str:
@@ -33,7 +34,7 @@ def hand_folder(name: str, side: str) -> str:
 
 
 def write_hand(root: Path, hand: Hand) -> None:
-    """Write both files of one hand under the release folder `root`."""
+    """Write the files of one hand under the release folder `root`."""
     folder = root / hand_folder(hand.name, hand.side)
     folder.mkdir(parents=True, exist_ok=True)
     spec = hand.make_spec()
@@ -42,6 +43,7 @@ def write_hand(root: Path, hand: Hand) -> None:
     tree["assets"] = _asset_hashes(spec, model)
     (folder / "hand.xml").write_text(_portable_xml(spec.to_xml()), encoding="utf-8")
     (folder / "tree.json").write_text(canonical_json(tree) + "\n", encoding="utf-8")
+    _write_licence(folder.parent / "LICENSE", hand.licence_text)
 
 
 def contact_centres(tree: Mapping[str, Any], joints: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -81,6 +83,13 @@ def header_of(tree: Mapping[str, Any]) -> HandHeader:
         contact_names=tuple(tree["contact_names"]),
         root_body=tree["body_names"][0],
     )
+
+
+def _write_licence(path: Path, text: str) -> None:
+    # Both sides share the file; where their sources differ it holds both texts.
+    known = path.read_text(encoding="utf-8") if path.exists() else ""
+    if text not in known:
+        path.write_text(f"{known}\n{text}" if known else text, encoding="utf-8")
 
 
 def _about(axis: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.float64]:

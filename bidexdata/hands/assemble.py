@@ -90,6 +90,7 @@ def _bare_hand(spec: HandSpec, side: Side, mjcf: HandMjcf, tree: HandTree) -> Ha
         posture_open=_posture(spec.postures.open, tree, prefix, "open"),
         posture_curved=_posture(spec.postures.curved, tree, prefix, "curved"),
         make_spec=mjcf.make_spec,
+        licence_text=mjcf.licence_text,
     )
 
 

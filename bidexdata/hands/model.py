@@ -101,6 +101,9 @@ class Hand:
     make_spec: Callable[[], mujoco.MjSpec] = field(repr=False)
     """Give a fresh `mujoco.MjSpec` of the hand: its root body hangs under the world body without a
     joint, and names carry no side prefix beyond those in `body_names` and `joint_names`."""
+    licence_text: str = field(default="", repr=False)
+    """The licence as it stands beside the source; empty where the source has no such file. What is
+    derived from the source must carry it."""
 
     @property
     def root_body(self) -> str:

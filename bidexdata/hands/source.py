@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 # Put before every name while the hand is cut out, and taken from the text afterwards: MuJoCo warns
 # about attaching without a prefix.
 _MARK = "cut-out-"
+_LICENCE_FILES = ("LICENSE", "LICENSE.txt", "LICENSE.md", "LICENCE", "COPYING")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +36,8 @@ class HandMjcf:
     """Mesh files by the name that the XML gives."""
     digest: str
     """sha256 over every source file."""
+    licence_text: str
+    """The licence file beside the source; empty where there is none."""
 
     def make_spec(self) -> mujoco.MjSpec:
         """Give a fresh `MjSpec`."""
@@ -57,11 +60,13 @@ def load_model(spec: HandSpec, side: Side, folder: Path) -> HandMjcf:
     side_spec = spec.side(side)
     kind, _, name = side_spec.source.partition(":")
     if kind == "menagerie":
-        source, assets, digest = _from_menagerie(name)
+        path, source, assets, digest = _from_menagerie(name)
     elif kind == "builtin":
-        source, assets, digest = _from_links(folder / name, side, side_spec.prefix)
+        path = folder / name
+        source, assets, digest = _from_links(path, side, side_spec.prefix)
     else:
-        source, assets, digest = _from_file(folder / side_spec.source)
+        path = folder / side_spec.source
+        source, assets, digest = _from_file(path)
     hand = _cut_at_root(source, side_spec.prefix + spec.root)
     for a, b in spec.exclude_contacts:
         _exclude(hand, side_spec.prefix + a, side_spec.prefix + b)
@@ -69,10 +74,20 @@ def load_model(spec: HandSpec, side: Side, folder: Path) -> HandMjcf:
     hand.compile()
     # Attaching nests the source's `main` defaults in ours; the two need two names.
     xml = hand.to_xml().replace(f'"{_MARK}main"', '"source"').replace(_MARK, "")
-    return HandMjcf(xml=xml, assets=_used_assets(xml, assets), digest=digest)
+    return HandMjcf(
+        xml=xml,
+        assets=_used_assets(xml, assets),
+        digest=digest,
+        licence_text=_licence_beside(path),
+    )
 
 
-def _from_menagerie(name: str) -> tuple[mujoco.MjSpec, dict[str, bytes], str]:
+def _licence_beside(path: Path) -> str:
+    found = (path.parent / name for name in _LICENCE_FILES)
+    return next((p.read_text(encoding="utf-8") for p in found if p.is_file()), "")
+
+
+def _from_menagerie(name: str) -> tuple[Path, mujoco.MjSpec, dict[str, bytes], str]:
     try:
         import mujoco_menagerie
     except ImportError as err:
@@ -94,7 +109,7 @@ def _from_menagerie(name: str) -> tuple[mujoco.MjSpec, dict[str, bytes], str]:
     import mujoco
 
     spec = mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"), assets=dict(files))
-    return spec, dict(files), _digest(files)
+    return path, spec, dict(files), _digest(files)
 
 
 def _from_links(path: Path, side: Side, prefix: str) -> tuple[mujoco.MjSpec, dict[str, bytes], str]:
