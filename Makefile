@@ -3,7 +3,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-PIP := $(BIN)/python -m pip --disable-pip-version-check
+TOOLS := $(VENV)/.tools
+# Byte code is compiled when a module is first imported: most installed modules never are.
+INSTALL := $(BIN)/python -m pip --disable-pip-version-check install --quiet --no-compile
 WORKERS ?= 2
 
 .PHONY: help setup demo test test-all check bench build clean
@@ -11,26 +13,30 @@ WORKERS ?= 2
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-setup: $(STAMP) ## make .venv and install everything; a no-op the second time
+setup: $(STAMP) $(TOOLS) ## make .venv and install everything; a no-op the second time
 
 # torch comes first and alone: asked for together with other packages, pip may choose a build
 # that brings gigabytes of CUDA libraries.
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) install --quiet torch==2.13.0
-	$(PIP) install --quiet --constraint constraints.txt --editable '.[all,dev]'
+	$(INSTALL) torch==2.13.0
+	$(INSTALL) --constraint constraints.txt --editable '.[all]'
 	@touch $(STAMP)
+
+$(TOOLS): $(STAMP)
+	$(INSTALL) --constraint constraints.txt --editable '.[all,dev]'
+	@touch $(TOOLS)
 
 demo: $(STAMP) ## the whole pipeline on built-in objects with the built-in hand, into demo/
 	$(BIN)/bidexdata demo --out demo
 
-test: $(STAMP) ## the tests; under 10 minutes on 2 cores
+test: $(TOOLS) ## the tests; under 10 minutes on 2 cores
 	$(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist loadfile tests
 
-test-all: $(STAMP) ## the tests and the slow full-scale checks
+test-all: $(TOOLS) ## the tests and the slow full-scale checks
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile tests
 
-check: $(STAMP) ## ruff, its formatter, pyright: zero findings
+check: $(TOOLS) ## ruff, its formatter, pyright: zero findings
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
@@ -38,7 +44,7 @@ check: $(STAMP) ## ruff, its formatter, pyright: zero findings
 bench: $(STAMP) ## speed of every stage, with the quality beside it; JSON in benchmarks/results/
 	$(BIN)/python -m benchmarks
 
-build: $(STAMP) ## source distribution and wheel, into dist/
+build: $(TOOLS) ## source distribution and wheel, into dist/
 	$(BIN)/python -m build
 
 clean: ## remove what the targets made
