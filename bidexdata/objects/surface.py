@@ -58,17 +58,20 @@ def sample_surface(
     return np.einsum("pk,pkx->px", weights, corners[face]), face
 
 
-def farthest_point_order(points: NDArray[np.float32]) -> NDArray[np.int64]:
+def farthest_point_order(
+    points: NDArray[np.float32], count: int | None = None
+) -> NDArray[np.int64]:
     """Order points (P, 3): each next one is farthest from all before it; the first comes first.
 
-    Ties go to the lower index, so the order is a function of the points alone.
+    Ties go to the lower index, so the order is a function of the points alone. `count` stops after
+    so many of them, (count,); all P when omitted.
     """
-    count = len(points)
+    count = len(points) if count is None else min(count, len(points))
     order = np.zeros(count, np.int64)
     if count == 0:
         return order
     x, y, z = (np.ascontiguousarray(points[:, k]) for k in range(3))
-    nearest = np.full(count, np.inf, np.float32)
+    nearest = np.full(len(points), np.inf, np.float32)
     current = 0
     for k in range(count):
         order[k] = current

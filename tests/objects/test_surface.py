@@ -43,6 +43,9 @@ def test_order_is_a_permutation_even_of_equal_points():
     for cloud in clouds:
         order = farthest_point_order(cloud.astype(np.float32))
         assert sorted(order) == list(range(len(cloud)))
+        for count in (0, 1, 4, 99):
+            first = farthest_point_order(cloud.astype(np.float32), count)
+            np.testing.assert_array_equal(first, order[:count])
 
 
 def test_samples_are_uniform_by_area(box):
