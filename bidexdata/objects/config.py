@@ -32,6 +32,10 @@ class RepairConfig:
     """Half the thickness given to sheets that enclose no volume, in cells."""
     lost_cells: float = 1.0
     """A part of the surface is lost when the remeshed surface is farther away, in cells."""
+    lid_share: float = 0.3
+    """Share of the remeshed surface that may be lids over holes. Above it the mesh is taken for
+    an open shell and made thick instead of filled. Measured: 51 of 53 real open meshes have none,
+    two have 3 %, a cap without a lining has 35 %, a box scanned without its bottom has 24 %."""
     simplify_cells: float = 0.15
     """Tolerance of the simplification after a remesh, in cells."""
     min_part: float = 1e-5
@@ -61,10 +65,12 @@ class ConvexConfig:
     """Faces above which that tolerance grows."""
     threshold: float = 0.07
     """Concavity at which the search stops, relative to CoACD's normalised mesh."""
-    thin_threshold: float = 0.05
-    """The same for thin objects, whose gaps hulls would bridge."""
-    thin_ratio: float = 0.008
-    """Thin means volume / (area x diagonal) below this."""
+    thin_threshold: float = 0.04
+    """The same for thin objects, whose gaps hulls would bridge. Measured, union to mesh volume at
+    0.07 / 0.05 / 0.035: frying pan 2.7 / 2.2 / 1.8, bicycle frame 1.5 / 1.2 / 1.2, bin 1.5 / 1.4 /
+    1.3, shoe rack 1.5 / 1.3 / 1.1, for at most 1.6 CPU s more."""
+    thin_ratio: float = 0.012
+    """Thin means volume / (area x diagonal) below this: walls under about 2.4 % of the diagonal."""
     max_pieces: int = 32
     """Pieces per object at most."""
     max_vertices: int = 64

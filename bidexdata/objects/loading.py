@@ -1,7 +1,7 @@
 """A mesh file as plain triangles of unit diagonal, z up, or the reason why not.
 
 The readers of trimesh do the parsing; everything they do silently is undone or checked here
-(facts/assets.md, section 3): no welding in file units, empty results, cut-off STL files, meshes
+(docs/measurements.md, 9): no welding in file units, empty results, cut-off STL files, meshes
 that only a missing decoder could read, vertices that are not numbers.
 """
 

@@ -39,7 +39,12 @@ def remesh(mesh: TriangleMesh, config: RepairConfig) -> tuple[TriangleMesh, str,
     solid = _level_set(field, low, cell)
 
     fine = _subdivided(mesh, 2 * cell)
-    lost = _lost_faces(fine, solid, field, low, cell, config.lost_cells * cell)
+    if _lid_share(solid, mesh, 2 * cell) > config.lid_share:
+        # An open shell: its winding number would fill it up to its rim.
+        field = np.full_like(field, np.inf)
+        lost = np.ones(len(fine.faces), bool)
+    else:
+        lost = _lost_faces(fine, solid, field, low, cell, config.lost_cells * cell)
     area = _areas(fine)
     share = float(area[lost].sum() / area.sum())
     method, warnings = "remesh", (f"remeshed at 1/{config.remesh_cells} of the diagonal",)
@@ -82,6 +87,15 @@ def _level_set(field: NDArray[np.float32], low: NDArray[np.float64], cell: float
     if mass_properties(mesh).volume < 0:
         mesh = TriangleMesh(mesh.vertices, mesh.faces[:, ::-1])
     return mesh
+
+
+def _lid_share(solid: TriangleMesh, mesh: TriangleMesh, limit: float) -> float:
+    """Share of the remeshed area that is farther than `limit` from the mesh: lids over holes."""
+    if len(solid.faces) == 0:
+        return 0.0
+    area = _areas(solid)
+    _, away = distances(mesh, solid.vertices[solid.faces].mean(axis=1))
+    return float(area[away > limit].sum() / area.sum())
 
 
 def _lost_faces(

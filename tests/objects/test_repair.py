@@ -152,6 +152,16 @@ def test_an_open_sheet_gets_the_stated_thickness():
     assert hausdorff(repaired.mesh, TriangleMesh(vertices, faces), 2000) < 1.1 * thick / 2 + CELL
 
 
+def test_a_dome_stays_hollow(ball):
+    middle = ball.vertices[ball.faces].mean(axis=1)
+    dome = TriangleMesh(ball.vertices, ball.faces[middle[:, 2] > 0.03])
+    repaired = repair(dome, CONFIG)
+    assert repaired.method == "remesh_shell"
+    assert winding_number(repaired.mesh, np.array([0.0, 0, 0.15])) == pytest.approx(0, abs=1e-6)
+    thick = 2 * CONFIG.shell_cells * CELL
+    assert volume(repaired.mesh) == pytest.approx(2 * np.pi * 0.3 * 0.27 * thick, rel=0.15)
+
+
 def test_what_lies_in_a_plane_has_no_volume(box):
     flat = TriangleMesh(box.vertices * [1, 1, 0], box.faces)
     with pytest.raises(PrepareFailure) as caught:
