@@ -1,7 +1,7 @@
 """SceneSettings: every number of the simulated scene that is not a pose.
 
 The defaults are those of protocol `paper-1`. Where the paper is silent they follow DexGraspBench
-(facts on synthesis and validation, 2.1 and 2.2); the paper fixes density, friction and gravity.
+(`hand_util.py` and the hand's notes); the paper fixes density, friction and gravity.
 """
 
 from __future__ import annotations

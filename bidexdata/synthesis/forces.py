@@ -34,7 +34,8 @@ def contact_forces(ws: Workspace, closure: ClosureConfig, iterations: int) -> Co
     """Solve the zero-load QPs of the contacts that the workspace holds.
 
     Source:
-        The coupled residual predicts failure (AUC 0.87, prototype); per-hand ones do not.
+        docs/measurements.md, 6: the coupled residual predicts failure (AUC 0.87), per-hand ones do
+        not.
     """
     from bidexdata.synthesis.optimise import qp_config
 

@@ -1,7 +1,7 @@
 """What the bilevel optimisation minimises and how: weights, closure, margins, steps.
 
-Sources: "paper" = BiDexGrasp with the section; "BODex" = its configuration files; "prototype" =
-our own measurement on 13 meshes x 3 sizes (facts/prototype.md, section 5 unless another is named).
+Sources: "paper" = BiDexGrasp with the section; "BODex" = its configuration files; "measurements,
+n" = docs/measurements.md, section n, on 13 meshes x 3 sizes.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class ClosureConfig:
 
     groups: Groups = "mix"
     """`decoupled`: each hand its own closure (paper 4.3); `coupled`: all contacts of both hands
-    with each hand pressing; `mix`: both. Prototype 7: equal within noise, mix best by 1 point."""
+    with each hand pressing; `mix`: both. Measurements, 3: equal within noise."""
     weight_decoupled: float = 10.0
     """Weight of the sum of both hands' Q [-]. Measured with the zero wrench: from 40 to 10 the
     finger-object distances spread over 3.6 instead of 6 mm at no loss of success."""
@@ -37,10 +37,10 @@ class ClosureConfig:
     """Weight of the coupled Q [-]. As above."""
     disturbances: Disturbances = "zero"
     """`forces`: six unit forces +-x, +-y, +-z (paper 3); `zero`: the zero wrench alone, which
-    costs a quarter of the QP time at equal success (prototype 4; measured again here)."""
+    costs a quarter of the QP time at equal success (measurements, 3; again here)."""
     friction: float = 0.3
-    """Friction coefficient of the cones [-]; half of the simulation's 0.6. Prototype 5: 0.1 / 0.3 /
-    0.6 give 88 / 86 / 85 %."""
+    """Friction coefficient of the cones [-]; half of the simulation's 0.6.
+    Measurements, 3: 0.1 / 0.3 / 0.6 give 88 / 86 / 85 %."""
     beta: float = 0.2
     """Scale of the disturbance wrenches in units of the cap [-]. BODex `k_lower`."""
     gamma: float = 1.0
@@ -49,14 +49,14 @@ class ClosureConfig:
     """Largest normal force of one contact [-]. Paper, appendix A."""
     torque_length: float = 0.5
     """Length that makes torques comparable with forces, as a share of the object's longest side
-    [-]. Prototype; BODex uses half the diagonal."""
+    [-]. Measurements, 4; BODex uses half the diagonal."""
     least_torque_length: float = 0.1
-    """Lower bound of that length [m]. Prototype."""
+    """Lower bound of that length [m]. Measurements, 4."""
     iterations: int = 4
-    """Projected-gradient iterations per optimiser step, warm started [-]. Prototype 5: within 0.1 %
-    (decoupled) and 5 % (coupled) of 2000 iterations after 80 steps."""
+    """Projected-gradient iterations per optimiser step, warm started [-]. Measurements, 3: within
+    0.1 % (decoupled) and 5 % (coupled) of 2000 iterations after 80 steps."""
     start_iterations: int = 40
-    """Iterations before the first step [-]. Prototype."""
+    """Iterations before the first step [-]. Measurements, 3."""
 
     def __post_init__(self) -> None:
         for name in ("weight_decoupled", "weight_coupled", "beta", "gamma"):
@@ -74,32 +74,34 @@ class EnergyConfig:
     """The upper level: weights and thresholds of the other energy terms."""
 
     distance: float = 1000.0
-    """Weight of the squared contact distances, summed [1/m2]. Prototype; paper 5.2 has 100."""
+    """Weight of the squared contact distances [1/m2]. Measurements, 4; paper 5.2 has 100."""
     region: float = 2.0
-    """Weight of E_region [1/m]. Prototype; paper 5.2 has 50."""
+    """Weight of E_region [1/m]. Measurements, 4; paper 5.2 has 50."""
     region_distance: Literal["anchor", "points"] = "anchor"
     """Distance to the region: to its centre, or to the nearest of its points (paper 4.3)."""
     region_threshold: float = 0.06
-    """Threshold a of phi [m]; b = 2 a. Prototype: hinge at 6 cm from the anchor. Not in the paper."""
+    """Threshold a of phi [m]; b = 2 a. Measurements, 3: hinge at 6 cm from the anchor. Not in
+    the paper."""
     penetration: float = 20_000.0
-    """Weight of squared hand-object sphere depths [1/m2]. Prototype 3.4."""
+    """Weight of squared hand-object sphere depths [1/m2]. Measurements, 3."""
     self_penetration: float = 2_000.0
-    """Weight of squared sphere overlaps within and between hands [1/m2]. Prototype."""
+    """Weight of squared sphere overlaps within and between hands [1/m2]. Measurements, 4."""
     pad: float = 0.1
-    """Weight of the pad-angle hinge [-]. Prototype."""
+    """Weight of the pad-angle hinge [-]. Measurements, 4."""
     pad_cosine: float = 0.75
-    """Least cosine between pad normal and inward surface normal that costs nothing. Prototype."""
+    """Least cosine between pad normal and inward surface normal that costs nothing.
+    Measurements, 4."""
     object_margin: float = 0.001
-    """Spheres keep this far from the object [m]. Prototype."""
+    """Spheres keep this far from the object [m]. Measurements, 4."""
     table_margin: float = 0.002
     """Spheres keep this far from the table [m]. Ours, twice the object margin."""
     self_margin: float = 0.002
-    """Spheres of one hand keep this far apart [m]. BODex, activation 2 mm; prototype."""
+    """Spheres of one hand keep this far apart [m]. BODex, activation 2 mm; measurements, 4."""
     inter_margin: float = 0.005
-    """Spheres of different hands keep this far apart [m]. Prototype."""
+    """Spheres of different hands keep this far apart [m]. Measurements, 4."""
     normal_step: float = 0.008
-    """Half width of the differences that give surface normals and their change [m]. Prototype;
-    BODex draws 10 to 20 mm."""
+    """Half width of the differences that give surface normals and their change [m].
+    Measurements, 4; BODex draws 10 to 20 mm."""
 
     def __post_init__(self) -> None:
         for name in ("distance", "region", "penetration", "self_penetration", "pad"):
@@ -138,11 +140,12 @@ class AdamConfig:
     """The step rule: Adam with one second moment per base part and per joint."""
 
     beta1: float = 0.9
-    """Decay of the first moment [-]. Prototype."""
+    """Decay of the first moment [-]. Measurements, 4."""
     beta2: float = 0.95
-    """Decay of the second moment [-]. Prototype."""
+    """Decay of the second moment [-]. Measurements, 4."""
     final_fraction: float = 0.15
-    """Step length at a phase's last step over its first [-]; linear in between. Prototype."""
+    """Step length at a phase's last step over its first [-]; linear in between.
+    Measurements, 4."""
 
     def __post_init__(self) -> None:
         for name in ("beta1", "beta2"):
@@ -170,7 +173,7 @@ def _grasp() -> PhaseConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OptimiseConfig:
-    """Decoupled bilevel optimisation in three phases (paper 4.3, 4.4; prototype 5)."""
+    """Decoupled bilevel optimisation in three phases (paper 4.3, 4.4; measurements, 3 and 4)."""
 
     closure: ClosureConfig = field(default_factory=ClosureConfig)
     energy: EnergyConfig = field(default_factory=EnergyConfig)

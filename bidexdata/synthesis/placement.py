@@ -38,32 +38,33 @@ _DRAWS = 5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlacementConfig:
-    """How palms start. "Prototype" is our own measurement (facts/prototype.md, section 5)."""
+    """How palms start. "Measurements, n" is docs/measurements.md, section n."""
 
     pairs: int = 40
-    """Best region pairs that attempts take in turn. Paper 4.2: all K_r = 40. Prototype 3.6: ranks
-    1-8 succeed in 91 %, ranks 9-12 in 85 %."""
+    """Best region pairs that attempts take in turn. Paper 4.2: all K_r = 40.
+    Measurements, 2: ranks 1-8 succeed in 91 %, ranks 9-12 in 85 %."""
     standoff: float = 0.02
-    """Lowest contact sphere to the hull [m]. Prototype."""
+    """Lowest contact sphere to the hull [m]. Measurements, 4."""
     clearance: float = 0.005
-    """Every collision sphere to the hull, to the table and to the other hand [m]. Prototype's margin
-    between hands."""
+    """Every collision sphere to the hull, to the table and to the other hand [m]. The margin
+    between hands of measurements, 4."""
     over: Literal["contacts", "palm"] = "contacts"
-    """What hangs over the hull point: the middle of the contact points (prototype), or the palm
-    (paper)."""
+    """What hangs over the hull point: the middle of the contact points, or the palm (paper)."""
     roll: float = pi
     """Largest turn about the palm normal from the preferred direction [rad]: pi is any roll
-    (prototype: no effect on success), 0 the paper's preferred direction."""
+    (no effect on success; measurements, 2), 0 the paper's preferred direction."""
     left_direction: tuple[float, float, float] = (1.0, -1.0, -1.0)
     """Preferred direction of the left hand's fingers in the world. Paper, appendix B."""
     right_direction: tuple[float, float, float] = (1.0, 1.0, -1.0)
     """The same for the right hand. Paper, appendix B."""
     tilt: float = pi / 36
-    """Largest angle between palm normal and inward hull normal [rad], 5 degrees. Prototype."""
+    """Largest angle between palm normal and inward hull normal [rad], 5 degrees. Measurements,
+    4."""
     shift: float = 0.015
-    """Largest shift along each palm axis [m]. Prototype."""
+    """Largest shift along each palm axis [m]. Measurements, 4."""
     flat: float = 0.02
-    """Regions with V below this start with the open posture. Prototype; paper, appendix B: 0.005."""
+    """Regions with V below this start with the open posture. Measurements, 4; paper, appendix B:
+    0.005."""
     draws: int = 8
     """Draws per attempt before it counts as not placeable. Ours."""
 

@@ -34,8 +34,8 @@ def _qp() -> QPConfig:
 class RegionConfig:
     """Which regions are made, which pairs are allowed and how they are ranked.
 
-    "Prototype" is our own measurement on 13 meshes at three sizes; lengths given there as shares of
-    the longest side of the bounding box are shares of the longest side here too.
+    "Measurements, n" is docs/measurements.md, section n, on 13 meshes at three sizes; lengths given
+    there as shares of the longest side of the bounding box are so here too.
     """
 
     anchors: int = 200
@@ -48,33 +48,33 @@ class RegionConfig:
     """Contacts drawn per region for the score. Paper 4.2, N."""
     same_side: float = -0.2
     """Points whose normal has a smaller cosine with the anchor's normal belong to the other sheet
-    of a thin wall and are left out [-]. Prototype."""
+    of a thin wall and are left out [-]. Measurements, 2."""
     gap: float = 0.05
     """Least distance between the points of two regions [m]. Paper, appendix B, tau_2."""
     wide: float = 0.55
     """Anchors this far apart are accepted whatever the gap, so that small objects have pairs; share
-    of the object's longest side [-]. Prototype; on objects over 0.38 m it changes nothing."""
+    of the object's longest side [-]. Measurements, 2; on objects over 0.38 m it changes nothing."""
     depth: float = 0.03
-    """Deepest accessible anchor below the convex hull [m]. Prototype."""
+    """Deepest accessible anchor below the convex hull [m]. Measurements, 2."""
     facing: float = 0.6
-    """Least cosine between a region's mean normal and the hull's normal [-]. Prototype."""
+    """Least cosine between a region's mean normal and the hull's normal [-]. Measurements, 2."""
     least_accessible: int = 40
-    """If fewer anchors are accessible, these many closest to the hull are taken. Prototype."""
+    """If fewer anchors are accessible, those closest to the hull are taken. Measurements, 2."""
     score: Literal["random", "force", "torque"] = "torque"
     """`force`: the paper's score. `torque`: those best by force and as many random ones, ranked by
     the residual of the coupled contact QP, torques included. Success of unselected grasps
-    (prototype 3.1): random 45, force 67, torque 86 %."""
+    (measurements, 2): random 45, force 67, torque 86 %."""
     force_friction: float = 0.3
-    """Friction coefficient of the force score [-]. Prototype; the paper gives none."""
+    """Friction coefficient of the force score [-]. Measurements, 4; the paper gives none."""
     reranked: int = 400
-    """Pairs best by force, and as many random ones, that the torque score ranks. Prototype."""
+    """Pairs best by force, and as many random ones, for the torque score. Measurements, 4."""
     iterations: int = 40
-    """QP steps per pair of the torque score. Prototype: ranks like 1500 (0.99)."""
+    """QP steps per pair of the torque score. Measurements, 2: ranks like 1500 (0.99)."""
     qp: QPConfig = field(default_factory=_qp)
     """The QP of the torque score."""
     diversity: float = 0.12
     """Two kept pairs have one anchor at least this far apart; share of the longest side [-].
-    Prototype."""
+    Measurements, 4."""
     kept: int = 40
     """Pairs kept. Paper 4.2, K_r."""
     sides: Literal["preferred", "random"] = "preferred"

@@ -95,7 +95,7 @@ def torque_length(longest: float) -> float:
     """Length that makes torques comparable with forces: half the longest side, at least 0.1 m.
 
     Source:
-        Our measurement (facts/prototype.md, section 5); BODex takes half the box diagonal.
+        docs/measurements.md, 4; BODex takes half the box diagonal.
     """
     return max(0.5 * longest, 0.1)
 

@@ -16,18 +16,21 @@ from bidexdata.synthesis.optimise_config import refuse_outside
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SelectionConfig:
-    """What certainly failed, and what is kept of the rest."""
+    """What certainly failed, and what is kept of the rest.
+
+    "Measurements, n" is docs/measurements.md, section n.
+    """
 
     candidates_per_grasp: int = 4
-    """Attempts per grasp kept, M / N [-]. DESIGN 5."""
+    """Attempts per grasp kept, M / N [-]. Ours: validation costs far more than synthesis."""
     start_depth: float = 0.010
     """Deeper pre-grasp penetration is a failed attempt [m]. DexGraspBench start check: 10 mm."""
     clear_depth: float = 0.001
-    """Attempts with less pre-grasp penetration come first [m]. Prototype 5."""
+    """Attempts with less pre-grasp penetration come first [m]. Measurements, 6."""
     largest_residual: float = 0.01
-    """Attempts with a larger coupled QP residual are not selected [-]. Prototype 7 and 9."""
+    """Attempts with a larger coupled QP residual are not selected [-]. Measurements, 6."""
     residual_iterations: int = 150
-    """QP iterations of the final residual and forces [-]. Prototype 4."""
+    """QP iterations of the final residual and forces [-]. Measurements, 4."""
     contact_tolerance: float = 0.010
     """A pad farther from the surface at the grasp is a lost contact [m]. Ours: the squeeze moves
     pads by about 10 mm, so what is farther stays off."""
@@ -86,7 +89,7 @@ def best(
         config: Limits.
 
     Source:
-        Prototype, sections 3.2 and 7 (89 -> 99.7 % for the best 8 of 32).
+        docs/measurements.md, 6 (89 -> 99.7 % for the best 8 of 32).
     """
     able = (status == Status.OK) & (residual <= config.largest_residual)
     # The attempt's number breaks ties, so that the order is always the same.

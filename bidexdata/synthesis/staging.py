@@ -24,19 +24,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StagingConfig:
-    """How the squeeze target follows from pre-grasp, grasp and contact forces."""
+    """How the squeeze target follows from pre-grasp, grasp and contact forces.
+
+    "Measurements, n" is docs/measurements.md, section n.
+    """
 
     extrapolate: float = 1.0
     """Squeeze = grasp + extrapolate (grasp - pregrasp) [-]. Paper 4.4: 2 G - G_pre, so 1."""
     force_floor: float = 3.0
     """Normal force per hand that the joint torques aim at, at least [N]; 0 with a zero
-    `force_per_weight` leaves the joint torques out (the paper). Prototype 7."""
+    `force_per_weight` leaves the joint torques out (the paper). Measurements, 5."""
     force_per_weight: float = 8.0
-    """The same per newton of the object's weight [-]. Prototype 3.3: SUC-F at 0.8 m 65 -> 84 %."""
+    """The same per newton of the object's weight [-]. Measurements, 5: at 0.8 m 65 -> 84 %."""
     stiffness: float = 5.0
     """Gain of the position actuators that will follow the target [N m/rad]. Protocol paper-1."""
     largest_offset: float = 0.6
-    """Largest change of a joint by the torques [rad]. Prototype."""
+    """Largest change of a joint by the torques [rad]. Measurements, 5."""
     density: float = 2.5
     """Density that the weight is computed with [kg/m3]. Paper 6.1."""
 
@@ -67,7 +70,7 @@ def squeeze(
 
     Source:
         BiDexGrasp, section 4.4 (2 G - G_pre); joint torques J^T f as in Dexonomy, scaled with the
-        weight (our measurement: the base's weld absorbs most of a pure pose offset).
+        weight (docs/measurements.md, 5: the base's weld absorbs most of a pure pose offset).
     """
     share = config.extrapolate
     turn = rotation_vector_from_quat(

@@ -1,7 +1,7 @@
 """Figures of one grasp at its grasp pose: penetration depths, contact number and distances.
 
 Source:
-    DexGraspBench (facts on synthesis and validation, 2.5), over both hands and all fingers as in
+    DexGraspBench (its metrics at the grasp pose), over both hands and all fingers as in
     BiDexGrasp, section 6; its index and name traps are not reproduced.
 """
 

@@ -197,7 +197,8 @@ def _rests(
     """Whether the object is so slow that it stays within the limits to the end of the load.
 
     Source:
-        Our prototype: no verdict of 75 hard grasps changed; see `Execution` for this code's own.
+        docs/measurements.md, 8: no verdict of 75 hard grasps changed; see `Execution` for this
+        code's own.
     """
     if time < execution.rest_from - 1e-9:
         return False

@@ -18,7 +18,7 @@ from bidexdata.cli.main import COMMANDS, run
 ROOT = Path(__file__).resolve().parents[2]
 ENV = {**os.environ, "PYTHONPATH": str(ROOT)}
 CPU_LIMIT = 0.5
-"""Seconds of CPU for `--help` (DESIGN 7); wall time would depend on what else runs."""
+"""Seconds of CPU for `--help`: it must feel instant; wall time would depend on what else runs."""
 
 
 def cpu_seconds(code: str) -> tuple[float, str]:

@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "bidexdata"
 
-# DESIGN: cli -> viewer -> runs -> loaders, formats -> synthesis | validation -> arms -> pictures
+# cli -> viewer -> runs -> loaders, formats -> synthesis | validation -> arms -> pictures
 # -> simulation -> objects, hands -> wrench, record -> frames, errors, config, devices.
 # Rooms on one floor do not import each other, but for the pairs in SAME_FLOOR.
 FLOORS = [
