@@ -21,11 +21,11 @@ from bidexdata.record.scene import Setting
 from bidexdata.runs.shards import write_atomically
 
 TASK_SECONDS = 60.0
-"""What a task should take on one core [s]. DESIGN 6."""
+"""What a task should take on one core [s]. Little is lost when a worker dies."""
 ATTEMPT_SECONDS = 0.2
 """Assumed time of one attempt, synthesis and start-up shared out [s]; only sizes the tasks."""
 MOST_TASKS = 10_000
-"""Tasks of a run, about. DESIGN 6."""
+"""Tasks of a run, about. More make the start and every listing slow."""
 
 
 @dataclass(frozen=True, slots=True)
