@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bidexdata.config import fingerprint
-from bidexdata.errors import NotUsable
+from bidexdata.errors import Contradiction, NotUsable
 from bidexdata.objects.prepared import Solid
 from bidexdata.record import Scene
 from bidexdata.record.scene import Setting
@@ -130,8 +130,19 @@ def write_plan(path: Path, tasks: Sequence[Task]) -> None:
 
 
 def read_plan(path: Path) -> list[Task]:
-    """Read `tasks.parquet`."""
+    """Read `tasks.parquet`.
+
+    Raises:
+        Contradiction: The file is damaged.
+    """
+    import pyarrow as pa
     from pyarrow import parquet
 
-    rows = parquet.read_table(path).to_pylist()
-    return [Task(r["task_id"], r["object_id"], tuple(r["scene_ids"]), r["round"]) for r in rows]
+    try:
+        rows = parquet.read_table(path).to_pylist()
+        return [Task(r["task_id"], r["object_id"], tuple(r["scene_ids"]), r["round"]) for r in rows]
+    except (pa.ArrowException, OSError, KeyError, TypeError) as err:
+        raise Contradiction(
+            f"{path}: damaged plan ({type(err).__name__}); delete it and run the command that "
+            "started the run again: it writes the same plan, and finished tasks stay"
+        ) from err

@@ -13,7 +13,7 @@ from bidexdata.config import differing_keys, fingerprint
 from bidexdata.errors import ConfigConflict, NotUsable
 from bidexdata.record import FIELDS, GraspBatch
 from bidexdata.runs.plan import Round, Task, write_plan
-from bidexdata.runs.run import PLAN_FILE, Run
+from bidexdata.runs.run import PLAN_FILE, Run, refuse_foreign
 from bidexdata.runs.shards import shard_path, write_shard
 from bidexdata.runs.spec import RUN_FILE, RunSpec, package_versions, relative_to_run, write_spec
 
@@ -37,9 +37,10 @@ def start_retest(release_path: str | Path, out: str | Path) -> Run:
         differing = differing_keys(old.spec.identity(), spec.identity())
         if differing:
             raise ConfigConflict(out, differing)
-        return old
-    if out.exists() and (not out.is_dir() or any(p.name != "import" for p in out.iterdir())):
-        raise NotUsable(f"{out} exists and is no run; choose another --out")
+        if (out / PLAN_FILE).exists():
+            return old
+    else:
+        refuse_foreign(out, "import")
     run = Run(out, spec)
     tasks, attempts = [], _attempts(release)
     for object_id in release.object_ids:

@@ -11,13 +11,14 @@ import dataclasses
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from bidexdata.errors import ConfigConflict, Contradiction, PathNotFound
+from bidexdata.config import fingerprint, to_plain
+from bidexdata.errors import ConfigConflict, Contradiction, NotUsable, PathNotFound
 from bidexdata.record import FIELDS, GraspBatch, Header
 from bidexdata.record.fields import columns_written_by
 from bidexdata.runs.plan import Task, read_plan
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from bidexdata.hands import Hand, Side
     from bidexdata.objects.library import Library
     from bidexdata.objects.prepared import Solid
+    from bidexdata.validation.protocols import Protocol
 
 PLAN_FILE = "tasks.parquet"
 
@@ -149,9 +151,15 @@ class Run:
     def task_verdicts(
         self, task: Task, batch: GraspBatch, protocol: str, test: str
     ) -> dict[str, np.ndarray]:
-        """Verdict columns of one validated task, row by row for `batch`."""
+        """Verdict columns of one validated task, row by row for `batch`.
+
+        Raises:
+            PathNotFound: The task is not validated.
+            ConfigConflict: Another run, or other settings of the protocol, made the shard.
+            Contradiction: The shard is damaged, or its ids are not those of the rows.
+        """
         path = shard_path(self.stage_folder("validate", protocol, test), task.task_id)
-        joined = GraspBatch.from_arrow(read_shard(path))
+        joined = GraspBatch.from_arrow(read_shard(path, self._verdict_mark(protocol, test)))
         if not np.array_equal(joined["grasp_id"], batch["grasp_id"]):
             raise Contradiction(f"{path}: its grasp ids are not those of the rows; delete it")
         names = [n for n in joined.columns if FIELDS[n].written_by == "validate"]
@@ -190,12 +198,36 @@ class Run:
             found.setdefault(task.object_id, []).append(task)
         return found
 
+    def _verdict_mark(self, protocol: str, test: str) -> str | None:
+        from bidexdata.validation.protocols import load_protocol, protocol_names
+
+        if protocol not in protocol_names():  # the caller's own; its settings are not known here
+            return None
+        return verdict_fingerprint(self, load_protocol(protocol), test)
+
     def _source(self) -> Path:
         path = (self.path / self.spec.source).resolve()
         if not path.is_dir():
             wanted = "the release" if self.spec.kind == "release" else "the library"
             raise PathNotFound(path, f"{wanted} that {self.path / 'run.json'} names")
         return path
+
+
+def refuse_foreign(out: Path, *own: str) -> None:
+    """Refuse to start a run in a folder that holds something else.
+
+    What a killed start leaves is no obstacle: a plan, temporary files, and the folders `own`.
+
+    Raises:
+        NotUsable: `out` is a file, or holds something else.
+    """
+    if not out.exists():
+        return
+    left = {PLAN_FILE, *own}
+    if not out.is_dir() or any(
+        p.name not in left and not p.name.startswith(".") for p in out.iterdir()
+    ):
+        raise NotUsable(f"{out} exists and is no run; choose another --out")
 
 
 def join_tasks(batches: list[GraspBatch]) -> GraspBatch:
@@ -209,6 +241,24 @@ def join_tasks(batches: list[GraspBatch]) -> GraspBatch:
         joined.header, counts={scene: dict(found) for scene, found in counts.items()}
     )
     return dataclasses.replace(joined, header=header)
+
+
+@lru_cache(maxsize=4)
+def open_unchanged(path: str, run_fingerprint: str) -> Run:
+    """Open the run that a worker's task belongs to, once per worker.
+
+    Raises:
+        NotUsable: It is not the run that the command started with.
+    """
+    run = Run.open(path)
+    if run.fingerprint != run_fingerprint:
+        raise NotUsable(f"{path} changed while it was being worked on")
+    return run
+
+
+def verdict_fingerprint(run: Run, protocol: Protocol, test: str) -> str:
+    """What a validate shard carries: run, protocol settings and test."""
+    return fingerprint([run.fingerprint, to_plain(protocol), test])
 
 
 def verdict_batch(

@@ -87,15 +87,37 @@ def read_shard(path: Path, fingerprint: str | None = None) -> pa.Table:
         mark = json.loads((table.schema.metadata or {})[_KEY])
         made_by, rows = mark["fingerprint"], mark["rows"]
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as err:
-        raise Contradiction(
-            f"{path}: damaged shard ({str(err).splitlines()[0] if str(err) else 'unreadable'}); "
-            "delete it and run the command again"
-        ) from err
+        raise _damaged(path, err) from err
     if rows != table.num_rows:
         raise Contradiction(f"{path}: damaged shard ({table.num_rows} of {rows} rows); delete it")
     if fingerprint is not None and made_by != fingerprint:
         raise ConfigConflict(path, [f"fingerprint: {made_by!r} -> {fingerprint!r}"])
     return table
+
+
+def check_mark(path: Path, fingerprint: str) -> None:
+    """Check which configuration made a shard, without reading its rows.
+
+    Raises:
+        ConfigConflict: Another one than `fingerprint` did.
+        Contradiction: The file is damaged.
+    """
+    import pyarrow as pa
+    from pyarrow import ipc
+
+    try:
+        with pa.OSFile(str(path), "rb") as source:
+            metadata = ipc.open_file(source).schema.metadata or {}
+        made_by = json.loads(metadata[_KEY])["fingerprint"]
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as err:
+        raise _damaged(path, err) from err
+    if made_by != fingerprint:
+        raise ConfigConflict(path, [f"fingerprint: {made_by!r} -> {fingerprint!r}"])
+
+
+def _damaged(path: Path, err: Exception) -> Contradiction:
+    what = str(err).splitlines()[0] if str(err) else "unreadable"
+    return Contradiction(f"{path}: damaged shard ({what}); delete it and run the command again")
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:

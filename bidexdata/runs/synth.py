@@ -7,7 +7,7 @@ import logging
 import time
 from collections import Counter
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,7 +26,7 @@ from bidexdata.runs.plan import (
     take_shard,
     write_plan,
 )
-from bidexdata.runs.run import PLAN_FILE, Run
+from bidexdata.runs.run import PLAN_FILE, Run, open_unchanged, refuse_foreign
 from bidexdata.runs.shards import done_tasks, shard_path, sweep, write_shard
 from bidexdata.runs.spec import (
     RUN_FILE,
@@ -106,14 +106,15 @@ def synth_library(
 def start_run(library: Library, out: Path, request: SynthRequest) -> Run:
     """Create the run folder, or open it and let `--grasps` grow; write run.json and the plan."""
     old = read_spec(out) if (out / RUN_FILE).exists() else None
-    if old is None and out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise NotUsable(f"{out} exists and is no run; choose another --out")
+    if old is None:
+        refuse_foreign(out)
+        sweep([out])
     wanted = _wanted(library, out, request, old)
     spec = wanted if old is None else grown(out, old, wanted)
     out.mkdir(parents=True, exist_ok=True)
     if spec != old:
         write_spec(out, spec)
-    _write_missing_rounds(library, out, spec)
+    _write_missing_rounds(library, out, spec, fresh=old is None)
     return Run(out, spec)
 
 
@@ -155,9 +156,10 @@ def _portable_hand(hand: str, out: Path) -> str:
     )
 
 
-def _write_missing_rounds(library: Library, out: Path, spec: RunSpec) -> None:
+def _write_missing_rounds(library: Library, out: Path, spec: RunSpec, *, fresh: bool) -> None:
     path = out / PLAN_FILE
-    planned = read_plan(path) if path.exists() else []
+    # A plan that was there before run.json may be another command's.
+    planned = read_plan(path) if path.exists() and not fresh else []
     known = {t.round for t in planned}
     if known == set(range(len(spec.rounds))):
         return
@@ -173,7 +175,7 @@ def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) ->
     from bidexdata.synthesis.config import SynthConfig
     from bidexdata.synthesis.pipeline import synthesize
 
-    run = _opened(run_path, run_fingerprint)
+    run = open_unchanged(run_path, run_fingerprint)
     log_to(run.path / "logs")
     start = time.monotonic()
     obj = run.library.load(task.object_id)
@@ -220,12 +222,3 @@ def with_run_header(batch: GraspBatch, run: Run) -> GraspBatch:
     version = package_versions()["bidexdata"]
     header = dataclasses.replace(batch.header, fingerprints=prints, version=version)
     return dataclasses.replace(batch, header=header)
-
-
-@lru_cache(maxsize=4)
-def _opened(path: str, run_fingerprint: str) -> Run:
-    # One per worker and run: the library's index is read once.
-    run = Run.open(path)
-    if run.fingerprint != run_fingerprint:
-        raise NotUsable(f"{path} changed while it was being worked on")
-    return run

@@ -6,19 +6,19 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Sequence
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bidexdata.config import fingerprint, from_plain, to_plain
+from bidexdata.config import from_plain, to_plain
 from bidexdata.errors import ConfigConflict, NotUsable
 from bidexdata.record import Status
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.plan import Task, take_shard
-from bidexdata.runs.run import Run, verdict_batch
-from bidexdata.runs.shards import done_tasks, read_shard, shard_path, sweep, write_shard
+from bidexdata.runs.run import Run, open_unchanged, verdict_batch, verdict_fingerprint
+from bidexdata.runs.shards import check_mark, done_tasks, shard_path, sweep, write_shard
 from bidexdata.runs.stage import Execution, StageReport, TaskSummary, run_stage
 
 if TYPE_CHECKING:
@@ -78,9 +78,8 @@ def _run_test(
     sweep([folder])
     done = done_tasks(folder)
     for task in tasks:
-        if task.task_id in done:  # one look is enough: a stage has one configuration
-            _check_mark(folder, task, mark)
-            break
+        if task.task_id in done:
+            _check_settings(shard_path(folder, task.task_id), mark)
     return run_stage(
         tasks,
         done,
@@ -91,17 +90,12 @@ def _run_test(
     )
 
 
-def verdict_fingerprint(run: Run, protocol: Protocol, test: str) -> str:
-    """What a validate shard carries: run, protocol settings and test."""
-    return fingerprint([run.fingerprint, to_plain(protocol), test])
-
-
-def _check_mark(folder: Path, task: Task, mark: str) -> None:
+def _check_settings(path: Path, mark: str) -> None:
     try:
-        read_shard(shard_path(folder, task.task_id), mark)
+        check_mark(path, mark)
     except ConfigConflict as err:
-        changed = f"settings of protocol {folder.parent.name!r}: those shards have other ones"
-        raise ConfigConflict(folder, [changed]) from err
+        changed = f"the run, or settings of protocol {path.parents[2].name!r}, that the shard is of"
+        raise ConfigConflict(path, [changed]) from err
 
 
 def _validate_task(
@@ -110,7 +104,7 @@ def _validate_task(
     from bidexdata.validation.protocols import Protocol
     from bidexdata.validation.validate import validate_grasps
 
-    run = _opened(run_path, run_fingerprint)
+    run = open_unchanged(run_path, run_fingerprint)
     log_to(run.path / "logs")
     start = time.monotonic()
     protocol = from_plain(Protocol, protocol_data)
@@ -125,12 +119,3 @@ def _validate_task(
         "task %s test %s: %d rows in %.1f s", task.task_id, test, len(batch), seconds
     )
     return TaskSummary(len(batch), int(np.sum(columns["success"])), dict(Counter(labels)))
-
-
-@lru_cache(maxsize=4)
-def _opened(path: str, run_fingerprint: str) -> Run:
-    # One per worker and run: the library's index is read once.
-    run = Run.open(path)
-    if run.fingerprint != run_fingerprint:
-        raise NotUsable(f"{path} changed while it was being worked on")
-    return run

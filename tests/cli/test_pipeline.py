@@ -21,7 +21,7 @@ import pytest
 from bidexdata import BiDexDataset, Run
 from bidexdata.cli.main import COMMANDS, run
 from bidexdata.record.fields import columns_written_by
-from bidexdata.runs.shards import done_tasks
+from bidexdata.runs.shards import done_tasks, read_shard, write_shard
 
 ROOT = Path(__file__).resolve().parents[2]
 ENV = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -245,6 +245,20 @@ def test_a_damaged_shard_gives_4_and_a_deleted_one_is_made_again(
     options = [*OPTIONS, "--executor", "inline", "--quiet"]
     assert run(["synth", str(library), "--out", str(folder), *options]) == 0
     assert files_of(folder) == before
+
+
+@pytest.mark.parametrize("command", ["validate", "info"])
+def test_verdicts_under_another_mark_give_5_and_name_the_shard(
+    whole: Path, capsys: pytest.CaptureFixture, command: str
+):
+    folder = whole.parent / f"foreign-{command}"
+    subprocess.run(["cp", "-r", whole, folder], check=True)
+    victim = sorted((folder / "validate").rglob("*.arrow"))[-1]
+    write_shard(victim, read_shard(victim), "f" * 16)
+    assert run([command, str(folder)]) == 5
+    err = capsys.readouterr().err
+    assert victim.name in err
+    assert len(err.strip().splitlines()) == 1
 
 
 def test_a_release_is_tested_again_into_a_run_of_its_own(

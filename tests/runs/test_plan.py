@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from bidexdata.errors import Contradiction
 from bidexdata.runs.plan import (
     MOST_TASKS,
     Round,
@@ -79,3 +80,22 @@ def test_a_table_gives_one_scene_per_size_and_rest_pose():
         "o-1/500/table0",
         "o-1/500/table1",
     ]
+
+
+@pytest.mark.parametrize("kept", [0, 10, 200, -8])
+def test_a_damaged_plan_is_named_and_the_sentence_says_what_to_do(tmp_path: Path, kept: int):
+    path = tmp_path / "tasks.parquet"
+    write_plan(path, plan_tasks(scenes(3), [Round(10, 40)]))
+    path.write_bytes(path.read_bytes()[:kept])
+    with pytest.raises(Contradiction, match=r"tasks\.parquet: damaged plan .* delete it"):
+        read_plan(path)
+
+
+def test_a_plan_without_its_columns_is_damaged_too(tmp_path: Path):
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    path = tmp_path / "tasks.parquet"
+    parquet.write_table(pa.table({"task_id": ["a"]}), path)
+    with pytest.raises(Contradiction, match="damaged plan"):
+        read_plan(path)

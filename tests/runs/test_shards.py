@@ -17,6 +17,7 @@ import pytest
 from bidexdata.errors import ConfigConflict, Contradiction, PathNotFound
 from bidexdata.runs.shards import (
     STALE_AFTER,
+    check_mark,
     done_tasks,
     read_shard,
     shard_path,
@@ -126,3 +127,14 @@ def test_another_machines_temporary_files_are_orphans_only_after_a_day(tmp_path:
     old = time.time() - STALE_AFTER - 60
     os.utime(foreign, (old, old))
     assert sweep([tmp_path]) == 1
+
+
+def test_a_mark_is_checked_without_reading_the_rows(tmp_path: Path):
+    path = tmp_path / "a.arrow"
+    write_shard(path, table(3), "mine")
+    check_mark(path, "mine")
+    with pytest.raises(ConfigConflict, match=r"a\.arrow.*'mine' -> 'yours'"):
+        check_mark(path, "yours")
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(Contradiction, match=r"a\.arrow: damaged shard"):
+        check_mark(path, "mine")
