@@ -23,9 +23,13 @@ _PUBLIC = {
     "load_hand": "bidexdata.hands",
     "load_hands": "bidexdata.hands",
     "load_protocol": "bidexdata.validation.protocols",
+    "pack_runs": "bidexdata.runs.pack",
+    "prepare_library": "bidexdata.runs.prepare",
     "prepare_object": "bidexdata.objects.prepare",
+    "synth_library": "bidexdata.runs.synth",
     "synthesize": "bidexdata.synthesis.pipeline",
     "validate_grasps": "bidexdata.validation.validate",
+    "validate_run": "bidexdata.runs.validate",
     "verify_release": "bidexdata.formats.verify",
 }
 
@@ -42,7 +46,11 @@ if TYPE_CHECKING:
     from bidexdata.objects.library import Library as Library
     from bidexdata.objects.prepare import prepare_object as prepare_object
     from bidexdata.record import GraspBatch as GraspBatch
+    from bidexdata.runs.pack import pack_runs as pack_runs
+    from bidexdata.runs.prepare import prepare_library as prepare_library
     from bidexdata.runs.run import Run as Run
+    from bidexdata.runs.synth import synth_library as synth_library
+    from bidexdata.runs.validate import validate_run as validate_run
     from bidexdata.synthesis.pipeline import synthesize as synthesize
     from bidexdata.validation.protocols import load_protocol as load_protocol
     from bidexdata.validation.validate import validate_grasps as validate_grasps

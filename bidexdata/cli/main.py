@@ -108,7 +108,10 @@ def run(arguments: Sequence[str]) -> int:
     except Exception as err:
         text = str(err).strip().splitlines()
         what = f"{type(err).__name__}: {text[0]}" if text else type(err).__name__
-        hint = "run it again with --debug and report the traceback with the command line"
+        hint = (
+            "run it again with --debug and report what it prints, together with "
+            "`bidexdata --version`, on the project's issue tracker"
+        )
         return _complain(f"this is a bug in bidexdata ({what}); {hint}", 1, arguments)
 
 

@@ -146,6 +146,8 @@ def test_a_bug_gives_1_and_says_how_to_report_it(
     err = capsys.readouterr().err
     assert "a screw is loose" in err
     assert "--debug" in err
+    assert "bidexdata --version" in err
+    assert "issue tracker" in err
     assert len(err.strip().splitlines()) == 1
     assert run(["info", str(tmp_path), "--debug"]) == 1
     assert "Traceback" in capsys.readouterr().err

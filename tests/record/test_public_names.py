@@ -26,6 +26,7 @@ def test_a_name_that_is_not_public_is_refused():
 
 def test_completion_shows_the_public_names():
     assert {"BiDexDataset", "Release", "GraspBatch"} <= set(dir(bidexdata))
+    assert {"prepare_library", "synth_library", "validate_run", "pack_runs"} <= set(dir(bidexdata))
 
 
 def test_the_version_is_that_of_the_package_metadata():
