@@ -1,7 +1,9 @@
 """Presets: named configurations, each a list of departures from the defaults with a reason.
 
-The defaults are what measures best. `paper` is the literal paper; where the paper leaves a constant
-open, `PAPER_OPEN` says what stands in and where it comes from.
+The defaults are what measures best. `paper` is the literal paper: `_PAPER` sets what the
+paper has otherwise or has not, `PAPER_GIVEN` names the defaults that are the paper's own values,
+`PAPER_OPEN` what stands in where the paper leaves a constant open, and `PAPER_IDLE` what has no
+effect once the rest is set. Together they name every field of `SynthConfig`.
 """
 
 from __future__ import annotations
@@ -29,16 +31,22 @@ class Preset(NamedTuple):
     changes: tuple[Change, ...]
 
 
-class OpenConstant(NamedTuple):
-    """A constant that the paper needs and does not give."""
+class Kept(NamedTuple):
+    """A field that the preset `paper` leaves at its default, and why."""
 
     key: str
+    """Dotted; a part of the configuration stands for all its fields."""
     source: str
 
 
 _PAPER = (
     Change("regions.score", "force", "4.2: s = min over t_j of max over k of t_j . w_k"),
+    Change("regions.same_side", -2.0, "4.2: all points within the radius, either sheet"),
     Change("regions.wide", 10.0, "appendix B: pairs are dropped by the gap alone"),
+    Change("regions.depth", 10.0, "appendix B: pairs are dropped by the gap alone"),
+    Change("regions.facing", -2.0, "appendix B: pairs are dropped by the gap alone"),
+    Change("regions.least_accessible", 2, "every region is accessible; the least value"),
+    Change("regions.diversity", 0.0, "4.2: the best pairs, however alike"),
     Change("placement.over", "palm", "4.2: the palm at the closest point of the dilated hull"),
     Change("placement.roll", 0.0, "appendix B: fingers as close as possible to a given direction"),
     Change("placement.tilt", 0.0, "4.2: orientation aligned with the surface normal"),
@@ -50,31 +58,70 @@ _PAPER = (
     Change("optimise.energy.distance", 100.0, "6.1: w_dis"),
     Change("optimise.energy.region", 50.0, "6.1: w_region"),
     Change("optimise.energy.region_distance", "points", "4.3: distance to the nearest of k points"),
-    Change("optimise.energy.region_threshold", 0.01, "open in the paper; a eighth of the radius"),
+    Change(
+        "optimise.energy.region_threshold", 0.01, "open in the paper; ours, an eighth of the radius"
+    ),
     Change("optimise.energy.pad", 0.0, "the paper has no such term"),
     Change("staging.force_floor", 0.0, "4.4: the squeeze is 2 G - G_pre and nothing else"),
     Change("staging.force_per_weight", 0.0, "4.4: the squeeze knows no weight"),
+    Change("selection.candidates_per_grasp", 1, "the paper keeps what it makes"),
+    Change("selection.start_depth", 1.0, "no attempt is dropped before the simulation"),
+    Change("selection.clear_depth", 1.0, "no attempt is preferred for its depth"),
+    Change("selection.largest_residual", 1e6, "no attempt is dropped before the simulation"),
+    Change("selection.contacts_needed", 0, "no attempt is dropped before the simulation"),
+)
+
+PAPER_GIVEN = (
+    Kept("regions.anchors", "4.2: K_a = 200"),
+    Kept("regions.radius", "4.2: 8 cm"),
+    Kept("regions.points", "4.2: k = 256"),
+    Kept("regions.contacts", "4.2: N = 5"),
+    Kept("regions.gap", "appendix B: tau_2 = 5 cm"),
+    Kept("regions.kept", "4.2: K_r = 40"),
+    Kept("placement.pairs", "4.2: all K_r pairs"),
+    Kept("placement.left_direction", "appendix B: (1, -1, -1)"),
+    Kept("placement.right_direction", "appendix B: (1, 1, -1)"),
+    Kept("optimise.closure.cap", "appendix A: normal forces up to 1"),
+    Kept("staging.extrapolate", "4.4, base included; BODex squeezes with the joints alone"),
+    Kept("staging.density", "6.1: 2.5 kg/m^3"),
 )
 
 PAPER_OPEN = (
-    OpenConstant("optimise.closure.friction", "our measurement (0.1 to 0.6 differ by 3 points)"),
-    OpenConstant("optimise.closure.beta", "BODex, k_lower 0.2"),
-    OpenConstant("optimise.closure.gamma", "BODex, sum of five normal forces at least 1"),
-    OpenConstant("optimise.closure.torque_length", "our measurement; BODex has half the diagonal"),
-    OpenConstant("optimise.energy.region_threshold", "ours: a eighth of the region's radius"),
-    OpenConstant("optimise.energy.penetration", "our measurement; BODex has cuRobo's cost, 100"),
-    OpenConstant("optimise.energy.self_penetration", "our measurement; BODex 100"),
-    OpenConstant("optimise.energy.object_margin", "our measurement"),
-    OpenConstant("optimise.energy.inter_margin", "our measurement"),
-    OpenConstant("optimise.energy.normal_step", "our measurement; BODex 10 to 20 mm"),
-    OpenConstant("optimise.adam", "our measurement; BODex has normalised gradients, 500 steps"),
-    OpenConstant("optimise.approach", "our measurement; BODex switches at 60 % of the steps"),
-    OpenConstant("optimise.pregrasp", "our measurement; distance 1 cm is the paper's"),
-    OpenConstant("optimise.grasp", "our measurement; BODex switches at 80 % of the steps"),
-    OpenConstant("regions.force_friction", "our measurement"),
-    OpenConstant("placement.standoff", "our measurement; BODex dilates by 10 cm"),
-    OpenConstant("placement.clearance", "our measurement"),
-    OpenConstant("staging.extrapolate", "4.4, base included; BODex squeezes with the joints alone"),
+    Kept("optimise.closure.friction", "our measurement (0.1 to 0.6 differ by 3 points)"),
+    Kept("optimise.closure.beta", "BODex, k_lower 0.2"),
+    Kept("optimise.closure.gamma", "BODex, sum of five normal forces at least 1"),
+    Kept("optimise.closure.torque_length", "our measurement; BODex has half the diagonal"),
+    Kept("optimise.closure.least_torque_length", "our measurement"),
+    Kept("optimise.closure.iterations", "our measurement; the paper has a QP solver"),
+    Kept("optimise.closure.start_iterations", "our measurement"),
+    Kept("optimise.energy.penetration", "our measurement; BODex has cuRobo's cost, 100"),
+    Kept("optimise.energy.self_penetration", "our measurement; BODex 100"),
+    Kept("optimise.energy.object_margin", "our measurement"),
+    Kept("optimise.energy.table_margin", "ours, twice the object margin"),
+    Kept("optimise.energy.self_margin", "BODex, activation 2 mm"),
+    Kept("optimise.energy.inter_margin", "our measurement"),
+    Kept("optimise.energy.normal_step", "our measurement; BODex 10 to 20 mm"),
+    Kept("optimise.adam", "our measurement; BODex has normalised gradients, 500 steps"),
+    Kept("optimise.approach", "our measurement; BODex switches at 60 % of the steps"),
+    Kept("optimise.pregrasp", "our measurement; distance 1 cm is the paper's"),
+    Kept("optimise.grasp", "our measurement; BODex switches at 80 % of the steps"),
+    Kept("regions.force_friction", "our measurement"),
+    Kept("placement.standoff", "our measurement; BODex dilates by 10 cm"),
+    Kept("placement.clearance", "our measurement"),
+    Kept("placement.draws", "ours: draws before an attempt counts as not placeable"),
+    Kept("regions.sides", "ours: the paper does not say which hand takes which region"),
+)
+
+PAPER_IDLE = (
+    Kept("regions.reranked", "of the torque score, which is off"),
+    Kept("regions.iterations", "of the torque score, which is off"),
+    Kept("regions.qp", "of the torque score, which is off"),
+    Kept("optimise.closure.weight_coupled", "of the coupled group, which is off"),
+    Kept("optimise.energy.pad_cosine", "of the pad term, which is off"),
+    Kept("staging.stiffness", "of the joint torques, which are off"),
+    Kept("staging.largest_offset", "of the joint torques, which are off"),
+    Kept("selection.residual_iterations", "of a residual that only stands in the record"),
+    Kept("selection.contact_tolerance", "of a check that is off"),
 )
 
 _PRESETS = {

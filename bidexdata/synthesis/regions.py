@@ -48,7 +48,7 @@ class RegionConfig:
     """Contacts drawn per region for the score. Paper 4.2, N."""
     same_side: float = -0.2
     """Points whose normal has a smaller cosine with the anchor's normal belong to the other sheet
-    of a thin wall and are left out [-]. Measurements, 2."""
+    of a thin wall and are left out [-]; below -1 none are. Measurements, 2."""
     gap: float = 0.05
     """Least distance between the points of two regions [m]. Paper, appendix B, tau_2."""
     wide: float = 0.55
@@ -57,7 +57,8 @@ class RegionConfig:
     depth: float = 0.03
     """Deepest accessible anchor below the convex hull [m]. Measurements, 2."""
     facing: float = 0.6
-    """Least cosine between a region's mean normal and the hull's normal [-]. Measurements, 2."""
+    """Least cosine between a region's mean normal and the hull's normal [-]; below -1 any will do.
+    Measurements, 2."""
     least_accessible: int = 40
     """If fewer anchors are accessible, those closest to the hull are taken. Measurements, 2."""
     score: Literal["random", "force", "torque"] = "torque"
@@ -87,11 +88,11 @@ class RegionConfig:
             "radius": (1e-3, 1.0),
             "points": (1, 100_000),
             "contacts": (1, 64),
-            "same_side": (-1.0, 1.0),
+            "same_side": (-2.0, 1.0),
             "gap": (0.0, 1.0),
             "wide": (0.0, 10.0),
             "depth": (0.0, 10.0),
-            "facing": (-1.0, 1.0),
+            "facing": (-2.0, 1.0),
             "least_accessible": (2, 100_000),
             "force_friction": (0.0, 10.0),
             "reranked": (1, 10_000_000),

@@ -3,17 +3,22 @@
 import dataclasses
 import itertools
 
+import numpy as np
 import pytest
+from made_objects import box_object
 
 from bidexdata.config import fingerprint, from_plain, to_plain, with_overrides
 from bidexdata.errors import BadConfig, UnknownKey, UnknownName
 from bidexdata.synthesis.config import SynthConfig
 from bidexdata.synthesis.presets import (
+    PAPER_GIVEN,
+    PAPER_IDLE,
     PAPER_OPEN,
     describe_preset,
     load_preset,
     preset_names,
 )
+from bidexdata.synthesis.regions_build import accessible_anchors, build_regions
 
 
 def value_at(config, key):
@@ -60,10 +65,48 @@ def test_the_paper_preset_has_the_papers_numbers():
     assert config.staging.force_floor == config.staging.force_per_weight == 0
 
 
-def test_every_open_constant_exists():
-    for constant in PAPER_OPEN:
+def leaves(config, prefix=""):
+    """Dotted name and value of every field that is not a part with fields of its own."""
+    for field in dataclasses.fields(config):
+        value, key = getattr(config, field.name), prefix + field.name
+        if dataclasses.is_dataclass(value):
+            yield from leaves(value, key + ".")
+        else:
+            yield key, value
+
+
+def test_the_paper_preset_accounts_for_every_field_once():
+    stated = [c.key for c in describe_preset("paper").changes]
+    kept = [c.key for part in (PAPER_GIVEN, PAPER_OPEN, PAPER_IDLE) for c in part]
+    for key in leaves(SynthConfig()):
+        named = [k for k in stated + kept if f"{key[0]}.".startswith(f"{k}.")]
+        assert len(named) == 1, f"{key[0]}: {named}"
+
+
+def test_the_paper_preset_differs_from_the_default_only_where_it_says():
+    ours, papers = dict(leaves(SynthConfig())), dict(leaves(load_preset("paper")))
+    stated = {c.key for c in describe_preset("paper").changes}
+    assert {k for k in ours if ours[k] != papers[k]} <= stated
+
+
+def test_every_field_that_the_paper_preset_keeps_exists_and_says_why():
+    for constant in (*PAPER_GIVEN, *PAPER_OPEN, *PAPER_IDLE):
         assert constant.source
         value_at(SynthConfig(), constant.key)
+
+
+def test_the_paper_preset_drops_pairs_by_the_gap_alone():
+    """A thin plate, whose two sheets face each other and whose hull is itself."""
+    obj = box_object(sides=(1.0, 0.8, 0.05))
+    config = load_preset("paper").regions
+    rng = np.random.default_rng(0)
+    regions = build_regions(obj, 0.3, config, rng)
+    assert accessible_anchors(obj, 0.3, regions, config).all()
+    # A region near the middle holds points of both sheets.
+    middle = np.argmin(np.linalg.norm(regions.anchor_points, axis=1))
+    cosine = regions.normals[middle] @ regions.anchor_normals[middle]
+    assert cosine.max() > 0.99
+    assert cosine.min() < -0.99
 
 
 def test_unknown_names_and_impossible_values_are_refused():
