@@ -20,7 +20,7 @@ class LoadConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RepairConfig:
-    """From triangles to a closed solid (facts/assets.md, section 4)."""
+    """From triangles to a closed solid (docs/measurements.md, 10)."""
 
     weld: float = 1e-6
     """Vertices closer than this are one vertex; UV and normal seams lie at exactly 0."""
@@ -55,7 +55,7 @@ class RepairConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConvexConfig:
-    """Convex decomposition by CoACD (facts/assets.md, section 6)."""
+    """Convex decomposition by CoACD (docs/measurements.md, 11)."""
 
     convex_ratio: float = 0.985
     """A mesh that fills this share of its hull is its hull: one piece, no search."""
@@ -109,7 +109,7 @@ class SurfaceConfig:
     """Points on the solid's surface."""
 
     points: int = 6000
-    """Number of points (facts/prototype.md, section 5)."""
+    """Number of points (docs/measurements.md, 4)."""
     seed: int = 0
     """Seed of the area-weighted draw; the same points for the same solid."""
     crack: float = 0.01
@@ -125,7 +125,7 @@ class SdfConfig:
     """Signed-distance grid of the solid."""
 
     cells: int = 112
-    """Cells on the longest side of the bounding box (facts/prototype.md, section 5)."""
+    """Cells on the longest side of the bounding box (docs/measurements.md, 4)."""
     margin: float = 0.06
     """Room around the box, as a fraction of its longest side."""
 
