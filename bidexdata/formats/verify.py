@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from bidexdata.errors import BidexError, Contradiction
+from bidexdata.errors import BidexError, Contradiction, NotUsable
 from bidexdata.formats import row_checks, table_checks
 from bidexdata.formats.manifest import damage, read_manifest
 from bidexdata.formats.release import Release
@@ -90,6 +90,7 @@ def verify_release(
 
     Raises:
         PathNotFound: There is no release at `path`.
+        NotUsable: `resimulate` needs something that this machine lacks, such as a hand's files.
     """
     release_or_error = _open(Path(path))
     if isinstance(release_or_error, Check):
@@ -148,5 +149,7 @@ def _files(release: Release) -> Check:
 def _run(name: str, law: Callable[[], str]) -> Check:
     try:
         return Check(name, True, law())
+    except NotUsable:
+        raise  # something this machine lacks (a hand, an extra), which says nothing of the release
     except BidexError as err:
         return Check(name, False, str(err))

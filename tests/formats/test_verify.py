@@ -11,7 +11,7 @@ import pyarrow as pa
 import pytest
 from made_release import OBJECTS, PER_SCENE, SIZES, made_release, made_rows
 
-from bidexdata.errors import Contradiction, PathNotFound
+from bidexdata.errors import Contradiction, NotUsable, PathNotFound
 from bidexdata.formats import parquet
 from bidexdata.formats.hdf5 import write_training_form
 from bidexdata.formats.manifest import damage, read_manifest, write_manifest
@@ -283,3 +283,11 @@ def test_the_training_form_is_rebuilt_from_the_tables(copied):
     (copied / "grasps.h5").unlink()
     write_training_form(copied, SPLITS)
     assert (copied / "grasps.h5").read_bytes() == before
+
+
+def test_a_hand_that_this_machine_lacks_is_no_damage(packed: Path):
+    def lacks(*_: object) -> np.ndarray:
+        raise NotUsable("no such hand here")
+
+    with pytest.raises(NotUsable, match="no such hand"):
+        verify_release(packed, full=True, resimulate=lacks)
