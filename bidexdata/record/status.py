@@ -34,7 +34,9 @@ class Status(IntEnum):
     CONTACT_LOST = 24
     SELF_PENETRATION_LEFT = 25
     TABLE_PENETRATION = 26
-    NOT_REACHABLE = 27
+
+    # arms
+    NOT_REACHABLE = 50
 
     # validate
     NOT_RUN = 70

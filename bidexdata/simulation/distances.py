@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import Solid
 
+from .engine_log import engine_warnings_logged
 from .scene import SimScene, build_scene
 from .state import set_pose
 
@@ -136,9 +137,10 @@ def _contacts(scene: SimScene, reach: float) -> tuple[NDArray, NDArray, FloatArr
     model.geom_gap[of_object] = reach
     model.body_margin[body] = reach  # what the broad phase looks at; compiled, never updated
     try:
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_collision(model, data)
+        with engine_warnings_logged():
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_collision(model, data)
     finally:
         model.geom_gap[of_object] = 0.0
         model.body_margin[body] = 0.0

@@ -16,6 +16,10 @@ def test_numbers_lie_in_their_stage_block_and_are_unique():
     assert len(values) == len(set(values))
     assert all(0 <= v < 100 for v in values)
     assert Status.OK == 0
+    blocks = {"UNREADABLE": 1, "NO_REGION_PAIR": 20, "NOT_REACHABLE": 50, "NOT_RUN": 70}
+    # Each block opens with its first number, and the members are written in their order.
+    assert {name: Status[name].value for name in blocks} == blocks
+    assert values == sorted(values)
 
 
 def test_the_two_status_columns_are_separate():

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
 from box_solids import box_solid
 
 from bidexdata.frames import quat_multiply, quat_rotate, random_quat
+from bidexdata.simulation.assembly import scene_spec
 from bidexdata.simulation.distances import REACH, _contacts, measure_distances, pregrasp_penetration
 from bidexdata.simulation.scene import build_scene
 from bidexdata.simulation.state import set_pose
@@ -144,3 +147,18 @@ def test_pregrasp_penetration_is_the_depth_and_nan_for_poses_that_are_not_finite
     np.testing.assert_array_equal(pregrasp_penetration(hands[:1], *args), got)
     none = pregrasp_penetration(hands[:1], *args[:4], pos[:0], quat[:0], joints[:0])
     assert none.shape == (0,)
+
+
+def test_a_warning_of_the_engine_leaves_no_file(hands, scene, tmp_path, monkeypatch):
+    spec = scene_spec(hands, box_solid(), SIZE, scene.settings, table=False)
+    spec.memory = 100_000  # room for less than half of the contacts
+    model = spec.compile()
+    small = dataclasses.replace(scene, model=model, data=mujoco.MjData(model))
+    joints = np.stack([h.posture_open for h in hands])
+    pose = (np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)), joints)
+    monkeypatch.chdir(tmp_path)
+    measure_distances(small, *AT_ORIGIN, *pose)
+    assert small.data.warning[mujoco.mjtWarning.mjWARN_CONTACTFULL].number > 0
+    one = tuple(part[None] for part in pose)
+    pregrasp_penetration(hands, box_solid(), SIZE, *AT_ORIGIN, *one, scene=small)
+    assert list(tmp_path.iterdir()) == []
