@@ -17,7 +17,7 @@ from bidexdata.errors import NotUsable
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import Solid
 
-from .assembly import OBJECT_BODY, TABLE_GEOM, hand_prefix, mocap_name, scene_spec
+from .assembly import OBJECT_BODY, hand_prefix, mocap_name, scene_spec
 from .engine_log import engine_warnings_logged
 from .settings import SceneSettings
 
@@ -197,10 +197,3 @@ def _apply_settings(scene: SimScene) -> None:
         model.actuator_forcelimited[actuators] = 1
         model.actuator_forcerange[actuators] = (-s.actuator_force, s.actuator_force)
         model.actuator_ctrllimited[actuators] = 0
-
-
-def table_geom(scene: SimScene) -> int:
-    """Number of the table's geom; -1 in a floating scene."""
-    import mujoco
-
-    return mujoco.mj_name2id(scene.model, mujoco.mjtObj.mjOBJ_GEOM, TABLE_GEOM)

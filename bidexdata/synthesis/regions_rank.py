@@ -18,6 +18,13 @@ from bidexdata.wrench.support import AXES, force_support
 if TYPE_CHECKING:
     from bidexdata.synthesis.regions import RegionConfig
 
+TORQUE_LENGTH = 0.5
+"""Torque length of the torque score, as a share of the object's longest side [-]; as the default of
+`ClosureConfig.torque_length`. docs/measurements.md, 4; BODex takes half the box diagonal."""
+LEAST_TORQUE_LENGTH = 0.1
+"""Lower bound of that length [m]; as the default of `ClosureConfig.least_torque_length`.
+docs/measurements.md, 4."""
+
 Ranking = tuple[Int[np.ndarray, "n 2"], Float[np.ndarray, " n"]]
 
 
@@ -92,12 +99,8 @@ def balance_residuals(
 
 
 def torque_length(longest: float) -> float:
-    """Length that makes torques comparable with forces: half the longest side, at least 0.1 m.
-
-    Source:
-        docs/measurements.md, 4; BODex takes half the box diagonal.
-    """
-    return max(0.5 * longest, 0.1)
+    """Length that makes torques comparable with forces [m], for the longest side of the box."""
+    return max(TORQUE_LENGTH * longest, LEAST_TORQUE_LENGTH)
 
 
 def diverse(

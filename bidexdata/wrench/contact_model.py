@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from bidexdata.frames import rotation_with_z
+
 # Below this length a tangential force has no direction [units of the force].
 _TINY = 1e-12
 
@@ -25,12 +27,8 @@ def contact_frames(normals: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 
     Source:
         BiDexGrasp, appendix A, contact model; the choice of d is ours (its torsion is free).
     """
-    n = np.asarray(normals, np.float64)
-    helper = np.zeros_like(n)
-    np.put_along_axis(helper, np.argmin(np.abs(n), axis=-1)[..., None], 1.0, axis=-1)
-    d = np.cross(helper, n)
-    d /= np.linalg.norm(d, axis=-1, keepdims=True)
-    return np.stack([n, d, np.cross(n, d)], axis=-1)
+    # (d, e, n) with n last becomes (n, d, e).
+    return np.ascontiguousarray(np.roll(rotation_with_z(normals), 1, axis=-1))
 
 
 def grasp_matrix(

@@ -12,7 +12,7 @@ from box_solids import angle_solid, box_mesh, box_solid
 from bidexdata.errors import BadConfig
 from bidexdata.frames import matrix_from_quat, random_quat
 from bidexdata.simulation.assembly import OBJECT_BODY, hand_prefix
-from bidexdata.simulation.scene import SceneNotBuilt, build_scene, table_geom
+from bidexdata.simulation.scene import SceneNotBuilt, build_scene
 from bidexdata.simulation.settings import SceneSettings
 from bidexdata.simulation.state import object_pose, object_speed, set_pose
 
@@ -100,7 +100,7 @@ def test_every_geom_belongs_to_a_hand_the_object_or_the_table(hands):
     scene = build_scene(hands, box_solid(), SIZE, SETTINGS, table=True)
     owners = scene.geom_owner
     assert set(owners) == {-1, 0, 1, 2}
-    assert list(np.flatnonzero(owners == -1)) == [table_geom(scene)]
+    assert list(np.flatnonzero(owners == -1)) == [scene.model.geom("table").id]
     assert len(scene.finger_names) == sum(len(h.fingers) for h in hands)
     assert set(scene.geom_finger) == set(range(-1, len(scene.finger_names)))
 
