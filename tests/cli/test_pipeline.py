@@ -316,3 +316,13 @@ def test_a_finished_command_repeats_at_once_and_its_json_has_the_documented_keys
     assert data["next"].startswith("bidexdata ")
     assert set(data) <= set(re.findall(r"\w+", COMMANDS[name].__doc__ or "")) | {"next"}
     assert files_of(whole) == before
+
+
+def test_nothing_made_gives_6_every_time_one_asks(library: Path, tmp_path: Path):
+    # Hands that must keep a metre apart find no start.
+    options = ["--hand", "capsule", "--sizes", "0.3", "--grasps", "1", "--executor", "inline"]
+    synth = ["synth", str(library), "--out", str(tmp_path / "run"), *options, "--quiet"]
+    synth += ["--set", "placement.clearance=1.0", "--set", "placement.draws=1"]
+    assert [run(synth), run(synth)] == [6, 6]
+    validate = ["validate", str(tmp_path / "run"), "--executor", "inline", "--quiet"]
+    assert [run(validate), run(validate)] == [6, 6]
