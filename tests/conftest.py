@@ -34,7 +34,9 @@ if (SHARED / "menagerie").is_dir():
 def shared() -> Path:
     """The folder with real meshes and peers' grasps."""
     if not SHARED.is_dir():
-        pytest.skip("needs ../shared (real meshes, peers' grasps), which is not part of the project")
+        pytest.skip(
+            "needs ../shared (real meshes, peers' grasps), which is not part of the project"
+        )
     return SHARED
 
 
