@@ -77,23 +77,6 @@ def face_planes(piece: TriangleMesh) -> NDArray[np.float64]:
     return np.column_stack([normal, np.max(normal @ piece.vertices.T, axis=1)])
 
 
-def interpolate(grid: SignedDistanceGrid, points: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Signed distance (P,) at points (P, 3) of the grid's frame by trilinear interpolation.
-
-    Outside the grid the value at its border plus the distance to the border is returned.
-    """
-    x = (np.asarray(points, np.float64) - grid.origin) / grid.cell
-    top = np.array(grid.values.shape) - 1.0
-    held = np.clip(x, 0.0, top)
-    base = np.minimum(held.astype(int), grid.values.shape - np.array(2))
-    t = held - base
-    total = np.zeros(len(x))
-    for corner in np.ndindex(2, 2, 2):
-        weight = np.prod(np.where(corner, t, 1 - t), axis=1)
-        total += weight * grid.values[tuple((base + corner).T)]
-    return total + np.linalg.norm(x - held, axis=1) * grid.cell
-
-
 def _band(
     solid: TriangleMesh, origin: NDArray[np.float64], cell: float, shape: tuple[int, int, int]
 ) -> NDArray[np.bool_]:

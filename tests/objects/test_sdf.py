@@ -8,8 +8,9 @@ from scipy.spatial import KDTree
 
 from bidexdata.objects.config import SdfConfig
 from bidexdata.objects.mesh_queries import distances, winding_distances
-from bidexdata.objects.sdf import cover, interpolate, signed_distance_grid
+from bidexdata.objects.sdf import cover, signed_distance_grid
 from bidexdata.objects.surface import sample_surface
+from bidexdata.synthesis.distance_field import signed_distance
 
 CONFIG = SdfConfig(cells=40)
 FLOAT32 = 5e-5  # kernels work in float32, and slivers of a union cost two more digits
@@ -49,7 +50,9 @@ def test_sign_and_size_agree_with_winding_distances_for_every_object(prepared):
 
 def test_distance_is_zero_on_the_surface_to_half_a_cell(prepared):
     for obj in prepared.values():
-        assert np.abs(interpolate(obj.sdf, obj.surface_points)).max() < 0.5 * obj.sdf.cell
+        assert (
+            np.abs(signed_distance(obj.sdf, 1.0, obj.surface_points)[0]).max() < 0.5 * obj.sdf.cell
+        )
 
 
 def test_neighbouring_nodes_differ_by_at_most_a_cell(prepared, box):
@@ -83,8 +86,8 @@ def test_scaled_solid_has_the_scaled_distances(box):
 def test_interpolation_is_exact_at_nodes_and_grows_outside(box):
     grid = signed_distance_grid(box, [box], CONFIG)
     at = nodes(grid)
-    np.testing.assert_allclose(interpolate(grid, at), grid.values.ravel(), atol=1e-9)
-    far = interpolate(grid, np.array([[5.0, 0, 0]]))[0]
+    np.testing.assert_allclose(signed_distance(grid, 1.0, at)[0], grid.values.ravel(), atol=1e-9)
+    far = signed_distance(grid, 1.0, np.array([[5.0, 0, 0]]))[0][0]
     assert far == pytest.approx(4.7, abs=0.01)
 
 

@@ -10,8 +10,8 @@ from bidexdata import frames
 from bidexdata.errors import BadConfig
 from bidexdata.hands import load_hands
 from bidexdata.hands.kinematics import hand_points
-from bidexdata.objects.sdf import interpolate
 from bidexdata.record.scene import Scene
+from bidexdata.synthesis.distance_field import signed_distance
 from bidexdata.synthesis.placement import PlacementConfig, _hang, _variation, place_palms
 from bidexdata.synthesis.placement_shapes import start_shapes, tangent_frames
 from bidexdata.synthesis.regions import RegionConfig, select_region_pairs
@@ -58,7 +58,7 @@ def test_no_start_touches_the_object(hands, obj, size_mm):
         tips = (p.contact @ planes.T - size * offsets).max(axis=-1) - hand.contact_radius
         assert tips.min() > CONFIG.standoff - 1e-9
         near = p.sphere[np.linalg.norm(p.sphere, axis=-1) < 0.59 * size] / size
-        assert interpolate(obj.sdf, near).min() * size > -GRID * size
+        assert signed_distance(obj.sdf, size, near * size)[0].min() > -GRID * size
 
 
 def test_palms_face_the_hull_point_nearest_to_their_region(hands):
