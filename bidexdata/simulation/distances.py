@@ -45,6 +45,17 @@ class Distances(NamedTuple):
     """Of each body to the object, at most the reach, per hand (B,)."""
 
 
+class PregraspDepths(NamedTuple):
+    """Deepest overlaps of N poses [m], zero or more; NaN where a pose is not finite."""
+
+    hand_object: FloatArray
+    """Hands and object, (N,)."""
+    among_hands: FloatArray
+    """Within a hand or between hands, (N,)."""
+    table: FloatArray
+    """Hands and table; 0 in a scene without one, (N,)."""
+
+
 def measure_distances(
     scene: SimScene,
     object_pos: ArrayLike,
@@ -59,7 +70,7 @@ def measure_distances(
     set_pose(scene, object_pos, object_quat, hand_pos, hand_quat, joints)
     owners, geoms, dist = _contacts(scene, reach)
     of_object = scene.object_owner
-    with_object = owners[:, 1] == of_object
+    with_object = (owners[:, 0] >= 0) & (owners[:, 1] == of_object)
     among_hands = (owners[:, 0] >= 0) & (owners[:, 1] < of_object)
     same = owners[:, 0] == owners[:, 1]
     with_table = (owners[:, 0] < 0) & (owners[:, 1] < of_object)
@@ -93,8 +104,9 @@ def pregrasp_penetration(
     joints: ArrayLike,
     *,
     scene: SimScene | None = None,
-) -> FloatArray:
-    """Depth of the deepest hand-object overlap of each pose [m], (N,), zero or more.
+    table: bool = False,
+) -> PregraspDepths:
+    """Measure the deepest overlaps of each pose.
 
     Args:
         hands: H hands.
@@ -106,14 +118,12 @@ def pregrasp_penetration(
         hand_quat: (N, H, 4).
         joints: [rad], (N, H, J).
         scene: A scene of the same hands and object-size to use again.
-
-    Returns:
-        Depths; NaN where a pose is not finite.
+        table: Whether the scene that is built has the table z = 0.
     """
-    scene = scene or build_scene(hands, solid, size)
+    scene = scene or build_scene(hands, solid, size, table=table)
     hand_pos, hand_quat = np.asarray(hand_pos, float), np.asarray(hand_quat, float)
     joints = np.asarray(joints, float)
-    depth = np.full(len(hand_pos), np.nan)
+    depths = np.full((3, len(hand_pos)), np.nan)
     for n in range(len(hand_pos)):
         if not (np.isfinite(hand_pos[n]).all() and np.isfinite(hand_quat[n]).all()):
             continue
@@ -121,10 +131,11 @@ def pregrasp_penetration(
             np.isfinite(joints[n, i, : len(a)]).all() for i, a in enumerate(scene.joint_qpos)
         ):
             continue
-        set_pose(scene, object_pos, object_quat, hand_pos[n], hand_quat[n], joints[n])
-        owners, _, dist = _contacts(scene, 0.0)
-        depth[n] = -np.min(dist[owners[:, 1] == scene.object_owner], initial=0.0)
-    return depth
+        pose = (hand_pos[n], hand_quat[n], joints[n])
+        d = measure_distances(scene, object_pos, object_quat, *pose, reach=0.0)
+        among = min(d.self_collision, d.inter_hand)
+        depths[:, n] = -min(d.hand_object, 0.0), -among, -d.table
+    return PregraspDepths(*depths)
 
 
 def _contacts(scene: SimScene, reach: float) -> tuple[NDArray, NDArray, FloatArray]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from bidexdata.config import fingerprint
+from bidexdata.frames import quat_multiply, quat_rotate
 from bidexdata.record import GraspBatch, Scene, Status
 from bidexdata.synthesis.attempts import Attempts, draw_attempts, gather_starts
 from bidexdata.synthesis.config import SynthConfig
@@ -124,8 +125,8 @@ def _grasp(
     torques = joint_torques(found.workspace, forces.forces * scale[:, :, None, None])
     target = squeeze(found.pregrasp, found.grasp, torques, hands, staging)
     finite = found.pregrasp.finite() & found.grasp.finite() & target.finite()
-    depth = _pregrasp_depths(obj, hands, attempts, found.pregrasp, finite)
-    status = judge(finite, found.gaps, depth, config.selection)
+    depth, among, table = _pregrasp_depths(obj, hands, attempts, found.pregrasp, finite)
+    status = judge(finite, found.gaps, depth, config.selection, among_hands=among, table=table)
     return Staged(found, target, forces, scale, depth, status)
 
 
@@ -136,10 +137,14 @@ def _pregrasp_depths(
     pregrasp: Pose,
     finite: np.ndarray,
 ) -> np.ndarray:
-    """Deepest hand-object penetration of each pre-grasp, on the hands' own geometry [m]."""
+    """Deepest overlaps of each pre-grasp on the hands' own geometry [m].
+
+    Returns:
+        Hands with the object, among the hands, and with the table, (3, K).
+    """
     from bidexdata.simulation.distances import pregrasp_penetration
 
-    depth = np.full(len(finite), np.nan)
+    depths = np.full((3, len(finite)), np.nan)
     joints = max(len(h.joint_names) for h in hands)
     for one, every in zip(attempts, _rows_per_scene(attempts), strict=True):
         rows = every[finite[every]]
@@ -148,17 +153,20 @@ def _pregrasp_depths(
         padded = np.full((len(rows), 2, joints), np.nan)
         for h in range(2):
             padded[:, h, : pregrasp.joints[h].shape[1]] = pregrasp.joints[h][rows]
-        depth[rows] = pregrasp_penetration(
+        # In the world, where the table is z = 0; a floating object is at the identity there.
+        origin, turn = np.array(one.scene.object_pos), np.array(one.scene.object_quat_wxyz)
+        depths[:, rows] = pregrasp_penetration(
             hands,
             obj,
             one.scene.size,
-            np.zeros(3),
-            np.array([1.0, 0.0, 0.0, 0.0]),
-            pregrasp.position[rows],
-            pregrasp.quat_wxyz[rows],
+            origin,
+            turn,
+            quat_rotate(turn, pregrasp.position[rows]) + origin,
+            quat_multiply(turn, pregrasp.quat_wxyz[rows]),
             padded,
+            table=one.scene.setting == "tabletop",
         )
-    return depth
+    return depths
 
 
 def _rows_per_scene(attempts: Sequence[Attempts]) -> list[np.ndarray]:

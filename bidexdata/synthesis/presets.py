@@ -66,6 +66,8 @@ _PAPER = (
     Change("staging.force_per_weight", 0.0, "4.4: the squeeze knows no weight"),
     Change("selection.candidates_per_grasp", 1, "the paper keeps what it makes"),
     Change("selection.start_depth", 1.0, "no attempt is dropped before the simulation"),
+    Change("selection.hands_depth", 1.0, "no attempt is dropped before the simulation"),
+    Change("selection.table_depth", 1.0, "no attempt is dropped before the simulation"),
     Change("selection.clear_depth", 1.0, "no attempt is preferred for its depth"),
     Change("selection.largest_residual", 1e6, "no attempt is dropped before the simulation"),
     Change("selection.contacts_needed", 0, "no attempt is dropped before the simulation"),

@@ -25,6 +25,10 @@ class SelectionConfig:
     """Attempts per grasp kept, M / N [-]. Ours: validation costs far more than synthesis."""
     start_depth: float = 0.010
     """Deeper pre-grasp penetration is a failed attempt [m]. DexGraspBench start check: 10 mm."""
+    hands_depth: float = 0.010
+    """The same within and between hands [m]. The same start check."""
+    table_depth: float = 0.010
+    """The same of hands and table [m]. Ours, as deep as the others."""
     clear_depth: float = 0.001
     """Attempts with less pre-grasp penetration come first [m]. Measurements, 6."""
     largest_residual: float = 0.01
@@ -40,7 +44,13 @@ class SelectionConfig:
 
     def __post_init__(self) -> None:
         refuse_outside(self, "candidates_per_grasp", 1, 1000)
-        for name in ("start_depth", "clear_depth", "contact_tolerance"):
+        for name in (
+            "start_depth",
+            "hands_depth",
+            "table_depth",
+            "clear_depth",
+            "contact_tolerance",
+        ):
             refuse_outside(self, name, 0.0, 1.0)
         refuse_outside(self, "largest_residual", 0.0, 1e6)
         refuse_outside(self, "residual_iterations", 1, 100_000)
@@ -52,6 +62,9 @@ def judge(
     gaps: Float[np.ndarray, "K 2 C"],
     depth: Float[np.ndarray, " K"],
     config: SelectionConfig,
+    *,
+    among_hands: Float[np.ndarray, " K"],
+    table: Float[np.ndarray, " K"],
 ) -> Int8[np.ndarray, " K"]:
     """Give the status of each optimised attempt.
 
@@ -60,13 +73,19 @@ def judge(
         gaps: Signed distances of the pads from the surface at the grasp [m]; NaN at padding.
         depth: Deepest hand-object penetration at the pre-grasp [m].
         config: Limits.
+        among_hands: The same within and between hands [m].
+        table: The same of hands and table [m]; 0 without one.
     """
     with np.errstate(invalid="ignore"):
         touching = np.sum(np.abs(gaps) <= config.contact_tolerance, axis=2)
         lost = np.min(touching, axis=1) < config.contacts_needed
         deep = depth > config.start_depth
+        crossed = among_hands > config.hands_depth
+        sunk = table > config.table_depth
     status = np.full(len(finite), Status.OK, np.int8)
     status[lost] = Status.CONTACT_LOST
+    status[sunk] = Status.TABLE_PENETRATION
+    status[crossed] = Status.SELF_PENETRATION_LEFT
     status[deep] = Status.PENETRATION_LEFT
     status[~finite] = Status.NOT_FINITE
     return status

@@ -143,10 +143,24 @@ def test_pregrasp_penetration_is_the_depth_and_nan_for_poses_that_are_not_finite
     pos[3, 0, 2] += 1.0
     args = (box_solid(), SIZE, *AT_ORIGIN, pos, quat, joints)
     got = pregrasp_penetration(hands[:1], *args, scene=one_hand)
-    np.testing.assert_allclose(got, [0.004, 0.001, np.nan, 0.0], atol=TOLERANCE)
+    np.testing.assert_allclose(got.hand_object, [0.004, 0.001, np.nan, 0.0], atol=TOLERANCE)
+    np.testing.assert_array_equal(got.table, [0, 0, np.nan, 0])
     np.testing.assert_array_equal(pregrasp_penetration(hands[:1], *args), got)
     none = pregrasp_penetration(hands[:1], *args[:4], pos[:0], quat[:0], joints[:0])
-    assert none.shape == (0,)
+    assert none.hand_object.shape == (0,)
+
+
+def test_pregrasp_penetration_tells_object_hands_and_table_apart(hands):
+    joints = np.stack([h.posture_open for h in hands])[None].repeat(2, axis=0)
+    quat = np.tile([1.0, 0, 0, 0], (2, 2, 1))
+    # Crossed hands far above the table, then hands apart of which one stands in the table.
+    pos = np.array([[[2.0, 0, 1], [2.0, 0.005, 1]], [[2.0, 0, 1], [3.0, 0, 0]]])
+    on_table = (np.array([0, 0, HALF - 0.001]), AT_ORIGIN[1])  # the object itself sinks in a bit
+    got = pregrasp_penetration(hands, box_solid(), SIZE, *on_table, pos, quat, joints, table=True)
+    assert got.hand_object.tolist() == [0, 0]
+    assert got.among_hands[0] > 0.001 > got.among_hands[1]
+    assert got.table[0] == 0
+    assert got.table[1] > 0.001
 
 
 def test_a_warning_of_the_engine_leaves_no_file(hands, scene, tmp_path, monkeypatch):

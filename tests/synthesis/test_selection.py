@@ -5,6 +5,7 @@ import pytest
 
 from bidexdata.record import Status
 from bidexdata.synthesis.selection import SelectionConfig, audit, best, judge
+from bidexdata.validation.protocols import load_protocol
 
 CONFIG = SelectionConfig(largest_residual=0.5, clear_depth=0.001, start_depth=0.01)
 
@@ -65,13 +66,37 @@ def test_each_failure_has_its_status():
         Status.PENETRATION_LEFT,
         Status.NOT_FINITE,
     ]
-    assert judge(finite, gaps, depth, CONFIG).tolist() == expected
+    none = np.zeros(6)
+    assert judge(finite, gaps, depth, CONFIG, among_hands=none, table=none).tolist() == expected
 
 
 def test_no_accepted_grasp_is_deeper_than_the_limit():
     rng = np.random.default_rng(1)
     depth = rng.uniform(0, 0.02, 300)
-    status = judge(np.ones(300, bool), np.zeros((300, 2, 5)), depth, CONFIG)
+    none = np.zeros(300)
+    gaps = np.zeros((300, 2, 5))
+    status = judge(np.ones(300, bool), gaps, depth, CONFIG, among_hands=none, table=none)
     kept = best(status, depth, rng.uniform(0, 0.1, 300), 300, CONFIG)
     assert kept.any()
     assert depth[kept].max() <= CONFIG.start_depth
+
+
+def test_hands_in_each_other_or_in_the_table_fail_by_their_own_names():
+    finite, gaps = np.ones(5, bool), np.zeros((5, 2, 5))
+    depth = np.array([0.0, 0.0, 0.0, 0.0, 0.011])
+    among = np.array([0.010, 0.011, 0.0, 0.011, 0.011])
+    table = np.array([0.010, 0.0, 0.011, 0.011, 0.011])
+    status = judge(finite, gaps, depth, CONFIG, among_hands=among, table=table)
+    assert status.tolist() == [
+        Status.OK,
+        Status.SELF_PENETRATION_LEFT,
+        Status.TABLE_PENETRATION,
+        Status.SELF_PENETRATION_LEFT,
+        Status.PENETRATION_LEFT,
+    ]
+
+
+def test_what_selection_drops_the_start_check_would_have_dropped():
+    """So that no grasp that could have passed is lost."""
+    start = load_protocol("paper-1").start_depth
+    assert min(SelectionConfig().start_depth, SelectionConfig().hands_depth) >= start
