@@ -28,8 +28,10 @@ _FLAT = 1e-5
 """Pieces thinner than this (unit diagonal) have no volume that a simulator accepts."""
 _COARSEST = 0.008
 """Largest tolerance of the simplification before the search."""
-_FIRST_TOLERANCE = 2e-4
-"""Where the search for the tolerance that leaves few enough vertices starts."""
+_FINEST, _ROUGHEST = 1e-5, 0.1
+"""Between these lies the tolerance that leaves few enough vertices (unit diagonal)."""
+_BISECTIONS = 10
+"""Steps of that search: the tolerance to within 1 %."""
 
 
 class Decomposition(NamedTuple):
@@ -138,18 +140,44 @@ def _solid_pieces(
 def _few_vertices(hull: Manifold, config: ConvexConfig) -> TriangleMesh:
     """Bound the vertices of a convex body and keep its volume.
 
-    Edges are collapsed under a growing tolerance; the smaller body is blown up about its centre
-    to the volume it had.
+    Two ways, the one that keeps more: edges collapsed under the smallest tolerance that leaves
+    few enough (best for flat sides), and vertices far from each other (best for round bodies,
+    where equal edges collapse all at once). Then the body is blown up about its centre to the
+    volume that it had.
     """
-    fewer, tolerance = hull, _FIRST_TOLERANCE
-    while fewer.num_vert() > config.max_vertices:
-        fewer = convex_hull(as_mesh(hull.simplify(tolerance)).vertices)
-        if fewer.is_empty():
-            raise PrepareFailure(Status.DECOMPOSITION_FAILED, "a piece has too many vertices")
-        tolerance *= 1.5
+    if hull.num_vert() <= config.max_vertices:
+        return as_mesh(hull)
+    candidates = [_collapsed(hull, config.max_vertices), _spread(hull, config.max_vertices)]
+    fewer = max(candidates, key=lambda body: body.volume())
+    if fewer.is_empty():
+        raise PrepareFailure(Status.DECOMPOSITION_FAILED, "a piece has too many vertices")
     mesh = as_mesh(fewer)
-    if fewer is hull:
-        return mesh
     centre = mass_properties(mesh).centre
     grow = (hull.volume() / fewer.volume()) ** (1 / 3)
     return TriangleMesh(centre + grow * (mesh.vertices - centre), mesh.faces)
+
+
+def _collapsed(hull: Manifold, most: int) -> Manifold:
+    """Collapse edges under a tolerance found by bisection of its logarithm."""
+    low, high = _FINEST, _ROUGHEST
+    best = hull.__class__()
+    for _ in range(_BISECTIONS):
+        tolerance = (low * high) ** 0.5
+        body = convex_hull(as_mesh(hull.simplify(tolerance)).vertices)
+        if body.num_vert() > most:
+            low = tolerance
+        else:
+            high = tolerance
+            best = body if body.volume() > best.volume() else best
+    return best
+
+
+def _spread(hull: Manifold, most: int) -> Manifold:
+    """Keep the extremes along the axes, then one by one the vertex farthest from those kept."""
+    vertices = as_mesh(hull).vertices
+    kept = list(np.unique(np.concatenate([vertices.argmin(axis=0), vertices.argmax(axis=0)])))
+    nearest = np.linalg.norm(vertices[:, None] - vertices[None, kept], axis=2).min(axis=1)
+    while len(kept) < most:
+        kept.append(int(np.argmax(nearest)))
+        nearest = np.minimum(nearest, np.linalg.norm(vertices - vertices[kept[-1]], axis=1))
+    return convex_hull(vertices[kept])

@@ -22,8 +22,9 @@ from bidexdata.config import differing_keys, to_plain
 from bidexdata.errors import ConfigConflict, Contradiction, NotUsable
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.failure import PrepareFailure
+from bidexdata.objects.identity import object_id_of, source_bytes
 from bidexdata.objects.library import INDEX, Library, content_sha256, object_folder, write_index
-from bidexdata.objects.prepare import object_id_of, prepare_object, source_bytes
+from bidexdata.objects.prepare import prepare_object
 from bidexdata.objects.sources import SourceItem, resolve_sources
 from bidexdata.objects.storage import read_document, write_object
 from bidexdata.record.status import Status

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from bidexdata.errors import NotUsable, PathNotFound, UnknownName
-from bidexdata.objects.prepare import object_id_of, prepare_object
+from bidexdata.objects.identity import object_id_of
+from bidexdata.objects.prepare import prepare_object
 from bidexdata.objects.sources import SourceItem, resolve_sources
 from bidexdata.objects.sources.shapes import shape_bytes, shape_families, shape_mesh
 
