@@ -33,8 +33,6 @@ _PUBLIC = {
     "verify_release": "bidexdata.formats.verify",
 }
 
-__all__ = ["__version__", *_PUBLIC]  # noqa: PLE0604  (names resolved by __getattr__)
-
 if TYPE_CHECKING:
     from bidexdata.formats.release import Release as Release
     from bidexdata.formats.verify import verify_release as verify_release
@@ -63,4 +61,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted(["__version__", *_PUBLIC])

@@ -12,7 +12,7 @@ import bidexdata
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.parametrize("name", [n for n in bidexdata.__all__ if n != "__version__"])
+@pytest.mark.parametrize("name", [n for n in dir(bidexdata) if n != "__version__"])
 def test_every_public_name_is_defined_where_the_table_says(name):
     value = getattr(bidexdata, name)
     assert value.__module__.startswith("bidexdata.")
