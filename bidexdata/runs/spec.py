@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -88,7 +89,7 @@ def grown(folder: Path, old: RunSpec, wanted: RunSpec) -> RunSpec:
     Raises:
         ConfigConflict: Another configuration, or fewer grasps; names the keys.
     """
-    differing = differing_keys(old.identity(), wanted.identity())
+    differing = _readable(differing_keys(old.identity(), wanted.identity()))
     grasps, candidates = wanted.grasps or 0, wanted.candidates or 0
     had_grasps, had_candidates = old.grasps or 0, old.candidates or 0
     if grasps < had_grasps:
@@ -105,6 +106,12 @@ def grown(folder: Path, old: RunSpec, wanted: RunSpec) -> RunSpec:
         return old
     extra = Round(grasps - had_grasps, candidates - had_candidates, had_candidates)
     return dataclasses.replace(old, rounds=(*old.rounds, extra))
+
+
+def _readable(differing: list[str]) -> list[str]:
+    """Shorten long values, such as hashes, and name another hand before what follows from it."""
+    short = [re.sub(r"'([^']{12})[^']{13,}'", r"'\1…'", text) for text in differing]
+    return sorted(short, key=lambda text: re.match(r"hands\.\w+\.name: ", text) is None)
 
 
 def write_spec(folder: Path, spec: RunSpec) -> None:

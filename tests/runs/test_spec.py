@@ -87,6 +87,16 @@ def test_any_other_configuration_is_refused_and_named(tmp_path: Path, key: str):
     assert caught.value.exit_code == 5
 
 
+def test_another_hand_is_named_first_and_hashes_are_short(tmp_path: Path):
+    hands = tuple(dataclasses.replace(h, name="shadow", spec_hash="e" * 64) for h in HANDS)
+    with pytest.raises(ConfigConflict) as caught:
+        grown(tmp_path, SPEC, dataclasses.replace(SPEC, hands=hands, config={}))
+    first = [f"hands.{side}.name: 'capsule' -> 'shadow'" for side in ("left", "right")]
+    assert list(caught.value.differing[:2]) == first
+    assert f"hands.left.spec_hash: '{'f' * 12}…' -> '{'e' * 12}…'" in caught.value.differing
+    assert "f" * 13 not in str(caught.value)
+
+
 def test_the_same_request_changes_nothing(tmp_path: Path):
     assert grown(tmp_path, SPEC, SPEC) is SPEC
 
