@@ -127,7 +127,7 @@ def _usage(err: Exception) -> int:
 
 
 def _interrupted() -> int:
-    print("interrupted; the same command goes on from here", file=sys.stderr)
+    print("interrupted; the same command goes on after the last finished task", file=sys.stderr)
     return INTERRUPTED
 
 

@@ -187,7 +187,7 @@ def test_ctrl_c_gives_130():
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert err.strip() == "interrupted; the same command goes on from here"
+    assert err.strip() == "interrupted; the same command goes on after the last finished task"
 
 
 @pytest.mark.parametrize("name", ["hands", "protocols", "presets"])
