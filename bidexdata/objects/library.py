@@ -79,9 +79,7 @@ class Library:
         if not path.is_dir():
             raise PathNotFound(path, "a library made by `bidexdata prepare`")
         if not (path / INDEX).is_file():
-            hint = "run the same `bidexdata prepare` again to finish it"
-            what = f"an unfinished library; {hint}" if (path / "objects").is_dir() else "no library"
-            raise NotUsable(f"{path} has no {INDEX}: it is {what}")
+            raise NotUsable(f"{path} has no {INDEX}: it is {_what_is(path)}")
         return cls(path, _read_index(path / INDEX))
 
     @property
@@ -130,6 +128,17 @@ class Library:
                 "delete the folder and run `bidexdata prepare` again"
             )
         return folder
+
+
+def _what_is(path: Path) -> str:
+    """Say what a folder without an index is and what to do."""
+    if (path / "manifest.json").exists():
+        return "a release, and this needs the library that `bidexdata prepare` wrote"
+    if (path / "run.json").exists():
+        return "a run, and this needs the library that `bidexdata prepare` wrote"
+    if (path / "objects").is_dir():
+        return "an unfinished library; run the same `bidexdata prepare` again to finish it"
+    return f"no library; make one: bidexdata prepare SOURCE --out {path}"
 
 
 def object_folder(object_id: str) -> Path:

@@ -254,9 +254,12 @@ def _check_out(out: Path, config: PrepareConfig) -> None:
         return
     if not out.is_dir():
         raise NotUsable(f"{out} is a file; --out needs a folder")
-    foreign = [p.name for p in out.iterdir() if not p.name.startswith(".")]
-    if foreign and not {INDEX, "objects"} & set(foreign):
-        raise NotUsable(f"{out} is not empty and not a library (it holds {sorted(foreign)[0]})")
+    own = {INDEX, "objects"}
+    foreign = [p.name for p in out.iterdir() if p.name not in own and not p.name.startswith(".")]
+    if foreign:
+        # A release has `objects` too, and must not be written to.
+        held = sorted(foreign)[0]
+        raise NotUsable(f"{out} is no library (it holds {held}); choose another --out")
     known = next((out / "objects").glob("*/*/object.json"), None)
     if known is None:
         return

@@ -123,6 +123,16 @@ def test_a_foreign_folder_is_left_alone(tmp_path, meshes, small):
         run([meshes], out, small)
     with pytest.raises(NotUsable, match="file"):
         run([meshes], out / "thesis.tex", small)
+    # A release and a run hold objects too, and are told apart from an unfinished library.
+    (out / "thesis.tex").rename(out / "manifest.json")
+    (out / "objects").mkdir()
+    with pytest.raises(NotUsable, match=r"manifest\.json"):
+        run([meshes], out, small)
+    with pytest.raises(NotUsable, match="it is a release"):
+        Library.open(out)
+    (out / "manifest.json").rename(out / "run.json")
+    with pytest.raises(NotUsable, match="it is a run"):
+        Library.open(out)
 
 
 def test_nothing_prepared_is_still_a_library_with_its_rows(tmp_path, meshes, small):
