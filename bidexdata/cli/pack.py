@@ -55,8 +55,11 @@ def pack(
         seed=seed,
         quiet=quiet,
     )
-    for run, number in report.unfinished.items():
-        warn(f"run {run}: {number} tasks are not done; their grasps are not in the release")
+    for unfinished, number in report.unfinished.items():
+        warn(f"run {unfinished}: {number} tasks are not done; their grasps are not in the release")
+    for run in report.half_tested:
+        missing = f"run {run.name}: {run.rows - run.tested} of {run.rows} rows are not tested"
+        warn(f"{missing}; run: {command('validate', run.path)}")
     if report.untested:
         warn(f"{report.untested} objects are not validated completely and carry no verdicts")
     if report.left_out:

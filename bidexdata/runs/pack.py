@@ -35,6 +35,15 @@ PERMISSIVE = (
 DEFAULT_PROTOCOL = "paper-1"
 
 
+class TestedRows(NamedTuple):
+    """How many finished rows of a run have verdicts."""
+
+    name: str
+    path: Path
+    tested: int
+    rows: int
+
+
 @dataclass(frozen=True, slots=True)
 class PackReport:
     """What was packed."""
@@ -48,6 +57,8 @@ class PackReport:
     """Objects without verdicts because not all their rows are validated."""
     left_out: tuple[str, ...] = ()
     """Objects left out for their licence."""
+    half_tested: tuple[TestedRows, ...] = ()
+    """Runs with rows that the protocol has not tested."""
 
 
 class NamedRun(NamedTuple):
@@ -124,13 +135,24 @@ def pack_runs(
             on_object=lambda object_id: progress.advance(note=object_id),
         )
     unfinished = {r.name: len(r.run.tasks) - len(r.run.done()) for r in runs}
+    counts = [TestedRows(r.name, r.run.path, *count_tested(r.run, protocol)) for r in runs]
     return PackReport(
         summary.path,
         summary.figures,
         {k: v for k, v in unfinished.items() if v},
         sum(1 for n in untested.values() if n),
         tuple(left_out),
+        tuple(c for c in counts if c.tested < c.rows),
     )
+
+
+def count_tested(run: Run, protocol: str) -> tuple[int, int]:
+    """Count the finished rows that every test begun of a protocol has a verdict on, and all."""
+    tests = [t for p, t in run.verdict_tests() if p == protocol]
+    have = run.done()
+    tested = have.intersection(*(run.done(protocol, t) for t in tests)) if tests else set()
+    rows = {t.task_id: len(run.task_batch(t)) for t in run.tasks if t.task_id in have}
+    return sum(rows[i] for i in tested), sum(rows.values())
 
 
 def rows_of_object(

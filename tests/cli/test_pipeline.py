@@ -218,6 +218,24 @@ def test_a_release_passes_verify_and_loads_as_tensors(release: Path):
     assert rows == sum(int(b["selected"].sum()) for b in made.batches())
 
 
+def test_pack_says_how_many_rows_are_not_tested(whole: Path, tmp_path: Path, capsys):
+    folder = whole.parent / "half"
+    subprocess.run(["cp", "-r", whole, folder], check=True)
+    names = ["--name", "tiny", "--version", "1.0.0", "--quiet"]
+    shards = sorted((folder / "validate" / "paper-1" / "f").rglob("*.arrow"))
+    total = sum(len(batch) for batch in Run.open(folder).batches())
+    for number, doomed in enumerate((shards[:1], shards[1:])):
+        for shard in doomed:
+            shard.unlink()
+        tested = sum(len(batch) for batch in Run.open(folder).batches("paper-1", "f"))
+        capsys.readouterr()
+        assert run(["pack", str(folder), "--out", str(tmp_path / str(number)), *names]) == 0
+        assert (
+            f"run half: {total - tested} of {total} rows are not tested; "
+            f"run: bidexdata validate {folder}\n"
+        ) in capsys.readouterr().err
+
+
 def test_one_flipped_byte_gives_4_and_names_the_file(
     release: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ):
