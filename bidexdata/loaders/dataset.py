@@ -80,6 +80,8 @@ class BiDexDataset:
         self.release = Release.open(root)
         self.split, self.frame, self.configuration = split, frame, configuration
         self.where = where
+        if split not in self.release.split_names:
+            raise UnknownName("split", str(split), self.release.split_names)
         if frame not in ("object", "world"):
             raise UnknownName("frame", frame, ("object", "world"))
         if configuration not in CONFIGURATIONS:
@@ -88,6 +90,11 @@ class BiDexDataset:
         self.cloud, self.points = cloud, points
         self._open()
         log.info("%r", self)
+        tests = self.release.figures.get("tests", {}).values()
+        if not any(t["selected"]["n"] or t["by_verdict"] for t in tests):
+            log.warning("%s was never tested: its suc_* are False everywhere", self.release.path)
+        if where is not None and self._total and not len(self):
+            log.warning("where=%s keeps none of %d grasps", self._where_name(), self._total)
 
     def __len__(self) -> int:
         """Number of grasps chosen."""
@@ -122,12 +129,14 @@ class BiDexDataset:
     def __repr__(self) -> str:
         """Say what is loaded, and that it is a selection."""
         rows = "selected rows only" if self.configuration == "selected" else "audit rows only"
-        name = getattr(self.where, "__name__", repr(self.where))
-        where = "" if self.where is None else f", where={name}"
+        where = "" if self.where is None else f", where={self._where_name()}"
         return (
             f"BiDexDataset({self.release.name} {self.release.version}, split={self.split!r}, "
             f"{rows}, {len(self)} of {self._total} grasps{where}, frame={self.frame!r})"
         )
+
+    def _where_name(self) -> str:
+        return getattr(self.where, "__name__", repr(self.where))
 
     def __getstate__(self) -> dict[str, Any]:
         # Workers map the files themselves; sending arrays would copy the whole table.

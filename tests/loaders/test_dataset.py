@@ -170,9 +170,10 @@ def test_negative_indices_count_from_the_end_and_others_are_refused(floating):
         rows[3]
 
 
-def test_an_empty_choice_is_an_empty_dataset(floating):
+def test_an_empty_choice_is_an_empty_dataset_and_is_said(floating, caplog):
     data = BiDexDataset(floating, where="size_mm > 10000")
     assert len(data) == 0
+    assert "where='size_mm > 10000' keeps none of" in caplog.text
     assert loaded(data) == []
 
 
@@ -220,8 +221,9 @@ def test_fewer_points_are_the_first_of_the_stored_ones(floating):
     assert torch.equal(few, many[:16])
 
 
-def test_untested_rows_can_be_left_out(tmp_path):
+def test_untested_rows_can_be_left_out(tmp_path, caplog):
     out = made_release(tmp_path / "r", OBJECTS[:1], tested=False)
     assert not BiDexDataset(out, fields=("suc_f",), cloud=None)[0]["suc_f"]
+    assert f"{out} was never tested" in caplog.text
     assert len(BiDexDataset(out, where="suc_f or not suc_f")) == 0
     assert len(BiDexDataset(out)) == PER_SCENE * len(SIZES)
