@@ -85,11 +85,14 @@ def synth_library(
     Raises:
         PathNotFound: There is no library.
         UnknownName: There is no such hand.
+        NotUsable: There is no such device.
         ConfigConflict: `out` is a run of another configuration.
     """
     from bidexdata.objects.library import Library
 
     execution = execution or Execution()
+    if execution.executor != "ray":  # whose workers have devices of their own
+        check_device(device)
     run = start_run(Library.open(library), Path(out), request)
     tasks = take_shard(run.tasks, execution.shard)
     sweep([run.stage_folder("rows")])
@@ -101,6 +104,25 @@ def synth_library(
         logs=run.path / "logs",
         execution=execution,
     )
+
+
+def check_device(device: str) -> None:
+    """Refuse a device that this machine does not have.
+
+    Raises:
+        NotUsable: Names the devices that there are.
+    """
+    if device == "cpu":
+        return
+    from bidexdata.devices import start_warp
+
+    start_warp()
+    import warp as wp
+
+    names = [d.alias for d in wp.get_devices()]
+    if device not in names and not (device == "cuda" and len(names) > 1):
+        known = ", ".join(names)
+        raise NotUsable(f"no device is called {device!r} here; this machine has: {known}")
 
 
 def start_run(library: Library, out: Path, request: SynthRequest) -> Run:

@@ -105,6 +105,7 @@ def test_a_line_that_cannot_be_parsed_gives_2(
         (["prepare", "shapes:box", "--out", "{tmp}/lib", "--executor", "magic"], "inline"),
         (["synth", "{tmp}/nolib", "--out", "{tmp}/run"], "nolib"),
         (["synth", "{tmp}", "--out", "{tmp}/run", "--preset", "papre"], "paper"),
+        (["synth", "{tmp}", "--out", "{tmp}/run", "--device", "cuda:99"], "this machine has: cpu"),
         (["synth", "{tmp}", "--out", "{tmp}/run", "--setting", "water"], "tabletop"),
         (["synth", "{tmp}", "--out", "{tmp}/run", "--sizes", "90"], "--sizes"),
         (
