@@ -8,17 +8,22 @@ from typing import Any
 from bidexdata.cli.report import counts_text, millimetres, percent, share, table
 
 
-def figure_lines(figures: Mapping[str, Any], protocol: str = "") -> list[str]:
+def figure_lines(
+    figures: Mapping[str, Any], protocol: str = "", untested: str = "not validated yet"
+) -> list[str]:
     """Counts, rates over everything, then one line per size.
 
     Args:
         figures: From `formats.figures`.
         protocol: Whose verdicts they count; empty when nothing is validated.
+        untested: What to say where no rate is defined.
     """
+    both = figures["selected_rows"] + figures["audit_rows"] - figures["n"]
+    of_both = f", {both} of them both" if both > 0 else ""
     lines = [
         f"{figures['n']} grasps of {figures['objects']} objects in {figures['scenes']} scenes "
-        f"({figures['selected_rows']} selected, {figures['audit_rows']} audit)",
-        f"attempts: {counts_text(figures['by_status'])}",
+        f"({figures['selected_rows']} selected, {figures['audit_rows']} audit{of_both})",
+        f"attempts (before any test): {counts_text(figures['by_status'])}",
     ]
     tested = {t: v for t, v in figures["tests"].items() if v["selected"]["n"] or v["by_verdict"]}
     for test, found in tested.items():
@@ -33,7 +38,7 @@ def figure_lines(figures: Mapping[str, Any], protocol: str = "") -> list[str]:
             f"SPD {millimetres(figures['spd'])}, CDC {millimetres(figures['cdc'])}"
         )
     else:
-        lines.append(f"kept {share(figures['kept'])} of the wanted grasps; not validated yet")
+        lines.append(f"kept {share(figures['kept'])} of the wanted grasps; {untested}")
     return lines + _by_size(figures, list(tested))
 
 

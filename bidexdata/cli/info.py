@@ -9,7 +9,7 @@ import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.figures import figure_lines
-from bidexdata.cli.report import counts_text, finish
+from bidexdata.cli.report import command, counts_text, finish
 
 
 def info(
@@ -59,11 +59,13 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
     if not data["protocols"]:
         return lines + figure_lines(data["figures"])
     for protocol, figures in data["protocols"].items():
-        lines += figure_lines(figures, protocol)
+        again = command("validate", data["path"], "--protocol", protocol)
+        tested = f"{figures['tested_rows']} of {figures['n']} rows"
+        lines += figure_lines(figures, protocol, f"partly validated: {tested}; run {again} again")
         if figures["untested_objects"]:
             lines.append(
-                f"{figures['untested_objects']} objects are not tested completely by {protocol}; "
-                "the rates leave them out"
+                f"{figures['untested_objects']} objects are not tested completely by {protocol} "
+                f"({tested} are); the rates leave them out"
             )
     return lines
 

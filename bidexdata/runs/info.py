@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from bidexdata.errors import NotUsable, PathNotFound
 from bidexdata.record import Status
-from bidexdata.runs.pack import rows_of_object
+from bidexdata.runs.pack import count_tested, rows_of_object
 from bidexdata.runs.run import Run
 
 if TYPE_CHECKING:
@@ -102,6 +102,7 @@ def run_figures(run: Run, protocol: str) -> dict[str, Any]:
     tests = tuple(t for p, t in run.verdict_tests() if p == protocol)
     tally = Tally(tests or ("f",))
     untested = 0
+    tested_rows, _ = count_tested(run, protocol)
     for object_id in run.object_ids:
         rows = rows_of_object(run, object_id, "", [(protocol, t) for t in tests])
         if rows is None:
@@ -109,7 +110,7 @@ def run_figures(run: Run, protocol: str) -> dict[str, Any]:
         untested += len(rows.verdicts) < len(tests)
         verdicts = {t: columns for (_, t), columns in rows.verdicts.items()}
         tally.add(rows.batch, verdicts, grasps=run.spec.grasps)
-    return {**tally.figures(), "untested_objects": untested}
+    return {**tally.figures(), "untested_objects": untested, "tested_rows": tested_rows}
 
 
 def describe_release(release: Release) -> dict[str, Any]:

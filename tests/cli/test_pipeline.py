@@ -138,7 +138,7 @@ def test_ctrl_c_ends_the_workers_and_leaves_a_run_to_go_on_with(library: Path):
     assert not list(folder.rglob("*.tmp"))
 
 
-def test_grasps_may_grow_and_old_shards_stay(whole: Path, library: Path):
+def test_grasps_may_grow_and_old_shards_stay(whole: Path, library: Path, capsys):
     folder = library.parent / "grown"
     subprocess.run(["cp", "-r", whole, folder], check=True)
     before = files_of(folder)
@@ -161,6 +161,14 @@ def test_grasps_may_grow_and_old_shards_stay(whole: Path, library: Path):
         assert len(set(batch["attempt"].tolist())) == len(batch)
         assert batch["attempt"].max() < 7
         assert {sum(c.values()) for c in batch.header.counts.values()} == {7}
+    capsys.readouterr()
+    assert run(["info", str(folder)]) == 0
+    tested, rows = (sum(len(b) for b in grown.batches(*p)) for p in (("paper-1", "f"), ()))
+    assert 0 < tested < rows
+    said = capsys.readouterr().out
+    assert f"partly validated: {tested} of {rows} rows; run bidexdata validate {folder}" in said
+    assert "not validated yet" not in said
+    assert "attempts (before any test): " in said
 
 
 @pytest.mark.parametrize(
