@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from bidexdata.cli import options
-from bidexdata.cli.report import finish
+from bidexdata.cli.report import finish, warn
 
 
 def view(
@@ -25,7 +25,7 @@ def view(
 ) -> None:
     """Serve a page that shows objects and grasps until Ctrl-C.
 
-    From another machine: ssh -L 8080:localhost:8080 MACHINE, then open http://localhost:8080.
+    From another machine: ssh -L 8080:localhost:8080 MACHINE, then open http://127.0.0.1:8080.
 
     --json keys, printed when the page is up: url, host, port, path.
     """
@@ -35,7 +35,9 @@ def view(
 
     server = serve(path, host, port, block=False)
     taken = server.get_port()
-    url = f"http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{taken}"
+    if taken != port:
+        warn(f"port {port} is taken; using {taken}")
+    url = f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{taken}"
     data = {"url": url, "host": host, "port": taken, "path": str(path)}
     finish(data, [f"{path}: open {url} in a browser; Ctrl-C ends"], as_json=as_json, quiet=quiet)
     sys.stdout.flush()

@@ -9,6 +9,7 @@ import pytest
 import viser
 from picture_samples import Made, grasps
 
+from bidexdata.cli.main import run
 from bidexdata.errors import NotUsable, PathNotFound
 from bidexdata.frames import matrix_from_quat
 from bidexdata.hands.kinematics import forward_kinematics
@@ -230,6 +231,21 @@ def test_the_server_listens_here_only_and_closes_cleanly(source):
         time.sleep(0.1)
     else:
         pytest.fail("the port is still open")
+
+
+def test_a_taken_port_is_said_and_the_address_is_that_of_the_server(source, monkeypatch, capsys):
+    monkeypatch.setattr("bidexdata.viewer.app.open_browsable", lambda path: source)
+    monkeypatch.setattr("bidexdata.viewer.app.wait_until_interrupted", lambda s: s.stop())
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        assert run(["view", "release", "--port", str(port)]) == 0
+    out, err = capsys.readouterr()
+    used = int(err.rsplit(maxsplit=1)[-1])
+    assert used != port
+    assert err.strip() == f"port {port} is taken; using {used}"
+    assert f"open http://127.0.0.1:{used} in a browser" in out
 
 
 def test_what_cannot_be_shown_is_named(tmp_path):
