@@ -65,6 +65,18 @@ class Solid:
     """Source, licence, author, category, source_name, source_sha256, source_diagonal, steps of the
     repair, hausdorff (fraction of the diagonal), piece_method, warnings."""
 
+    @property
+    def nominal_volume(self) -> float:
+        """Volume at unit diagonal that a nominal mass refers to: of another mesh of the object
+        where an imported benchmark says so, else the solid's."""
+        return float(self.provenance.get("nominal_volume", self.volume))
+
+    @property
+    def source_origin(self) -> NDArray[np.float64]:
+        """Origin of the source file's coordinates in the object frame, unit diagonal, (3,)."""
+        origin = np.array(self.provenance.get("origin_in_file", (0.0, 0.0, 0.0)), np.float64)
+        return -origin / float(self.provenance.get("unit_in_file", 1.0))
+
     def mass(self, size: float, density: float) -> float:
         """Mass [kg] at bounding-box diagonal `size` [m] and `density` [kg/m^3]."""
         return self.volume * size**3 * density

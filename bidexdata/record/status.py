@@ -48,6 +48,8 @@ class Status(IntEnum):
     UNSTABLE = 76
     BAD_POSE = 77
     NO_SCENE = 78
+    NOT_LIFTED = 79
+    BLOWN_UP = 80
 
     @property
     def sentence(self) -> str:
@@ -85,8 +87,27 @@ _SENTENCES = {
     Status.NO_CONTACT: "no hand touched the object after closing",
     Status.THROWN: "the object left the limits while the hands were closing",
     Status.SLIP: "the object moved farther than the limit under load",
-    Status.TURNED: "the object turned farther than the limit under load",
-    Status.UNSTABLE: "the simulation became unstable",
+    Status.TURNED: "the object tipped over: it turned farther than the limit under load",
+    Status.UNSTABLE: "the simulation became unstable: numbers that are not finite, or a warning",
     Status.BAD_POSE: "the stored pose is not finite, not a rotation or absurdly far away",
     Status.NO_SCENE: "the simulator refuses to build a scene of the object at this size",
+    Status.NOT_LIFTED: "the object stayed on the table when the hands were lifted",
+    Status.BLOWN_UP: "the simulation became unstable: something flew faster than is possible",
 }
+
+
+class TestStage(IntEnum):
+    """Part of a test in which a grasp failed; the column `failed_stage`."""
+
+    __test__ = False  # no test class, whatever a test runner makes of the name
+
+    NONE = -1
+    START = 0
+    CLOSING = 1
+    LIFT = 2
+    HOLD = 3
+
+    @property
+    def label(self) -> str:
+        """The lower-case name used in reports."""
+        return self.name.lower()

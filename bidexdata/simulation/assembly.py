@@ -33,6 +33,16 @@ def mocap_name(index: int) -> str:
     return f"mocap{index}"
 
 
+def base_names(index: int) -> tuple[str, ...]:
+    """Names of the joints, and of their actuators, that carry hand number `index` on slides."""
+    return tuple(f"{hand_prefix(index)}base_{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz"))
+
+
+def joint_actuator(joint: str) -> str:
+    """Name of the actuator of one joint where every joint has its own."""
+    return f"own_{joint}"
+
+
 def scene_spec(
     hands: Sequence[Hand], solid: Solid | None, size: float, settings: SceneSettings, *, table: bool
 ) -> mujoco.MjSpec:
@@ -52,7 +62,7 @@ def scene_spec(
     for index, hand in enumerate(hands):
         _add_hand(spec, hand, index, settings)
     if solid is not None:
-        _add_object(spec, solid, size, settings.density)
+        _add_object(spec, solid, size, settings.density_of(solid, size))
     if table:
         spec.worldbody.add_geom(
             name=TABLE_GEOM, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0]
@@ -69,10 +79,29 @@ def _add_hand(spec: mujoco.MjSpec, hand: Hand, index: int, settings: SceneSettin
     _drop_pictures(child)
     for body in child.bodies:
         body.gravcomp = settings.hand_gravity_compensation
+    if settings.actuators == "joints":
+        _actuate_every_joint(child, hand)
     prefix = hand_prefix(index)
     spec.attach(child, prefix=prefix, frame=spec.worldbody.add_frame())
     root = spec.body(prefix + hand.root_body)
     root.pos, root.quat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
+    if settings.base == "weld":
+        _weld(spec, root, hand, index, settings)
+    else:
+        _slide(spec, root, index, settings)
+    names = set(hand.body_names)
+    for first, second in settings.excluded_bodies:
+        pair = [next((n for n in names if _is_called(n, wanted)), "") for wanted in (first, second)]
+        if all(pair):
+            spec.add_exclude(bodyname1=prefix + pair[0], bodyname2=prefix + pair[1])
+
+
+def _weld(
+    spec: mujoco.MjSpec, root: mujoco.MjsBody, hand: Hand, index: int, settings: SceneSettings
+) -> None:
+    import mujoco
+
+    prefix = hand_prefix(index)
     root.add_freejoint(name=prefix + "root")
     spec.worldbody.add_body(name=mocap_name(index), mocap=True)
     weld = spec.add_equality(
@@ -86,13 +115,42 @@ def _add_hand(spec: mujoco.MjSpec, hand: Hand, index: int, settings: SceneSettin
     )
     # anchor, relative position, relative quaternion, torque scale
     data = np.zeros_like(weld.data)
+    data[:3] = data[3:6] = settings.weld_anchor
     data[6], data[10] = 1.0, settings.weld_torque_scale
     weld.data = data
-    names = set(hand.body_names)
-    for first, second in settings.excluded_bodies:
-        pair = [next((n for n in names if _is_called(n, wanted)), "") for wanted in (first, second)]
-        if all(pair):
-            spec.add_exclude(bodyname1=prefix + pair[0], bodyname2=prefix + pair[1])
+
+
+def _slide(
+    spec: mujoco.MjSpec, root: mujoco.MjsBody, index: int, settings: SceneSettings
+) -> None:
+    """Carry a hand on three slides and three hinges, z last: R = Rx Ry Rz."""
+    import mujoco
+
+    for number, name in enumerate(base_names(index)):
+        slides = number < 3
+        kp, damping = settings.slide_gains if slides else settings.hinge_gains
+        kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
+        root.add_joint(name=name, type=kind, axis=list(np.eye(3)[number % 3]), damping=[damping])
+        servo = spec.add_actuator(
+            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, ctrllimited=False
+        )
+        servo.set_to_position(kp=kp)
+
+
+def _actuate_every_joint(child: mujoco.MjSpec, hand: Hand) -> None:
+    """Replace a hand's actuators by one of every joint with the gain of the one that moved it."""
+    import mujoco
+
+    gains = child.copy().compile().actuator_gainprm[:, 0]
+    strongest = np.abs(hand.actuator_moment) > 0
+    for actuator in list(child.actuators):
+        child.delete(actuator)
+    for j, joint in enumerate(hand.joint_names):
+        mine = np.flatnonzero(strongest[:, j])
+        servo = child.add_actuator(
+            name=joint_actuator(joint), target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
+        )
+        servo.set_to_position(kp=float(gains[mine[0]]) if len(mine) else 1.0)
 
 
 def _is_called(body: str, wanted: str) -> bool:

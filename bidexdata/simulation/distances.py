@@ -28,6 +28,21 @@ REACH = 0.01
 """Distances beyond this read as this [m] (DexGraspBench: contact margin)."""
 
 
+class HandContacts(NamedTuple):
+    """Pairs of hand geom and piece that are nearer than the reach; K of them, world frame."""
+
+    hand: NDArray[np.intp]
+    """Number of the hand, (K,)."""
+    body: NDArray[np.intp]
+    """Number of the body within its hand, (K,)."""
+    dist: FloatArray
+    """Signed distance [m], (K,)."""
+    point: FloatArray
+    """Middle between the two nearest points [m], (K, 3)."""
+    normal_in: FloatArray
+    """Unit normal into the object, (K, 3)."""
+
+
 class Distances(NamedTuple):
     """Smallest signed distances in one pose [m]; negative = depth of an overlap."""
 
@@ -39,10 +54,13 @@ class Distances(NamedTuple):
     """Between hands, at most 0."""
     table: float
     """Between hands and table; 0 unless they overlap."""
+    object_table: float
+    """Between object and table; 0 unless they overlap."""
     fingers: FloatArray
     """Of each finger of all hands to the object, at most the reach, (F,)."""
     bodies: tuple[FloatArray, ...]
     """Of each body to the object, at most the reach, per hand (B,)."""
+    contacts: HandContacts
 
 
 class PregraspDepths(NamedTuple):
@@ -65,14 +83,34 @@ def measure_distances(
     joints: ArrayLike,
     *,
     reach: float = REACH,
+    full_broad_phase: bool = True,
+    last_body_counts: bool = True,
 ) -> Distances:
-    """Measure one pose; arguments as in `set_pose`. The scene's state is overwritten."""
+    """Measure one pose. The scene's state is overwritten.
+
+    Args:
+        scene: The scene.
+        object_pos: As in `set_pose`, likewise the next four.
+        object_quat: (4,).
+        hand_pos: (H, 3).
+        hand_quat: (H, 4).
+        joints: (H, J).
+        reach: Pairs farther apart than this are not looked for [m].
+        full_broad_phase: Find all of the nearer ones; else those that a broad phase without
+            margin leaves (`MetricRules.full_broad_phase`).
+        last_body_counts: The last body of the last hand takes part in self and inter-hand depths.
+    """
     set_pose(scene, object_pos, object_quat, hand_pos, hand_quat, joints)
-    owners, geoms, dist = _contacts(scene, reach)
+    owners, geoms, dist, points, normals = _contacts(scene, reach, full_broad_phase)
     of_object = scene.object_owner
     with_object = (owners[:, 0] >= 0) & (owners[:, 1] == of_object)
     among_hands = (owners[:, 0] >= 0) & (owners[:, 1] < of_object)
+    if not last_body_counts and scene.hands:
+        last = (len(scene.hands) - 1, len(scene.hands[-1].body_names) - 1)
+        is_last = (owners == last[0]) & (scene.geom_body[geoms] == last[1])
+        among_hands &= ~is_last.any(axis=1)
     same = owners[:, 0] == owners[:, 1]
+    object_on_table = (owners[:, 0] < 0) & (owners[:, 1] == of_object)
     with_table = (owners[:, 0] < 0) & (owners[:, 1] < of_object)
     touching, near = geoms[with_object, 0], np.minimum(dist[with_object], reach)
     fingers = np.full(len(scene.finger_names) + 1, reach)
@@ -88,8 +126,16 @@ def measure_distances(
         self_collision=float(np.min(dist[among_hands & same], initial=0.0)),
         inter_hand=float(np.min(dist[among_hands & ~same], initial=0.0)),
         table=float(np.min(dist[with_table], initial=0.0)),
+        object_table=float(np.min(dist[object_on_table], initial=0.0)),
         fingers=fingers[:-1],
         bodies=tuple(bodies),
+        contacts=HandContacts(
+            scene.geom_owner[touching],
+            scene.geom_body[touching],
+            dist[with_object],
+            points[with_object],
+            normals[with_object],
+        ),
     )
 
 
@@ -138,15 +184,23 @@ def pregrasp_penetration(
     return PregraspDepths(*depths)
 
 
-def _contacts(scene: SimScene, reach: float) -> tuple[NDArray, NDArray, FloatArray]:
-    """List contacts of the state: owners (K, 2) ascending, geoms (K, 2) alike, distance (K,)."""
+def _contacts(
+    scene: SimScene, reach: float, full_broad_phase: bool
+) -> tuple[NDArray, NDArray, FloatArray, FloatArray, FloatArray]:
+    """List contacts of the state, the lower owner first.
+
+    Returns:
+        Owners (K, 2), geoms (K, 2), distance (K,), point (K, 3), normal from the first geom to
+        the second (K, 3).
+    """
     import mujoco
 
     model, data = scene.model, scene.data
     of_object = scene.geom_owner == scene.object_owner
     body = model.geom_bodyid[of_object]
     model.geom_gap[of_object] = reach
-    model.body_margin[body] = reach  # what the broad phase looks at; compiled, never updated
+    if full_broad_phase:
+        model.body_margin[body] = reach  # compiled, never updated from the geoms' values
     try:
         with engine_warnings_logged():
             mujoco.mj_kinematics(model, data)
@@ -157,7 +211,10 @@ def _contacts(scene: SimScene, reach: float) -> tuple[NDArray, NDArray, FloatArr
         model.body_margin[body] = 0.0
     geoms = np.array(data.contact.geom, dtype=np.intp).reshape(-1, 2)
     dist = np.array(data.contact.dist, dtype=np.float64)
+    points = np.array(data.contact.pos, dtype=np.float64).reshape(-1, 3)
+    normals = np.array(data.contact.frame, dtype=np.float64).reshape(-1, 9)[:, :3]
     owners = scene.geom_owner[geoms]
     swap = owners[:, 0] > owners[:, 1]
     geoms[swap], owners[swap] = geoms[swap][:, ::-1], owners[swap][:, ::-1]
-    return owners, geoms, dist
+    normals[swap] *= -1.0
+    return owners, geoms, dist, points, normals

@@ -17,7 +17,14 @@ from bidexdata.errors import NotUsable
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import Solid
 
-from .assembly import OBJECT_BODY, hand_prefix, mocap_name, scene_spec
+from .assembly import (
+    OBJECT_BODY,
+    base_names,
+    hand_prefix,
+    joint_actuator,
+    mocap_name,
+    scene_spec,
+)
 from .engine_log import engine_warnings_logged
 from .settings import SceneSettings
 
@@ -27,6 +34,8 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 
+MOST_PIECES = 1000
+"""Convex pieces of an object; more take minutes to compile and are no decomposition."""
 NOBODY = -1
 """Owner of geoms that belong to no hand and no object: the table."""
 
@@ -45,11 +54,13 @@ class SimScene:
     settings: SceneSettings
     hands: tuple[Hand, ...]
     root_qpos: IntArray
-    """Address in qpos of each hand's free joint, (H,)."""
+    """Address in qpos of each hand's free joint, or of its first slide, (H,)."""
     root_qvel: IntArray
-    """Address in qvel of each hand's free joint, (H,)."""
+    """Address in qvel of the same, (H,)."""
     mocap: IntArray
-    """Mocap number of each hand, (H,)."""
+    """Mocap number of each hand; empty where hands are carried on slides, (H,)."""
+    base_actuators: IntArray
+    """Actuator numbers of the slides and hinges; empty where hands are welded, (H, 6)."""
     joint_qpos: tuple[IntArray, ...]
     """Addresses in qpos of each hand's joints, in the hand's order, H times (J,)."""
     actuators: tuple[IntArray, ...]
@@ -58,6 +69,8 @@ class SimScene:
     """Address in qpos of the object's free joint; -1 without an object."""
     object_qvel: int
     """Address in qvel of the object's free joint; -1 without an object."""
+    object_body: int
+    """Number of the object's body; -1 without an object."""
     geom_owner: IntArray
     """0..H-1 hands, H the object, -1 the table, (G,)."""
     geom_body: IntArray
@@ -66,6 +79,10 @@ class SimScene:
     """Number of the geom's finger, counted over all hands; -1 for palms and other geoms, (G,)."""
     finger_names: tuple[str, ...]
     """`<hand number>/<finger>`, (F,)."""
+    source_origin: FloatArray
+    """Origin of the source file's coordinates in the object frame [m], (3,)."""
+    object_mass: float
+    """Nominal mass of the object [kg]: that of the solid, or the one that the settings name."""
 
     @property
     def object_owner(self) -> int:
@@ -74,6 +91,8 @@ class SimScene:
 
     def controls(self, index: int, joints: FloatArray) -> FloatArray:
         """Controls (..., U) of hand number `index` that command joint angles (..., J) [rad]."""
+        if self.settings.actuators == "joints":
+            return joints
         return joints @ self.hands[index].actuator_moment.T
 
 
@@ -100,6 +119,11 @@ def build_scene(
     import mujoco
 
     settings = settings or SceneSettings()
+    if solid is not None and len(solid.pieces) > MOST_PIECES:
+        raise SceneNotBuilt(
+            f"no scene is built of {solid.object_id}: it has {len(solid.pieces)} convex pieces, "
+            f"and at most {MOST_PIECES} are simulated"
+        )
     try:
         with engine_warnings_logged():
             spec = scene_spec(hands, solid, size, settings, table=table)
@@ -108,15 +132,25 @@ def build_scene(
         name = solid.object_id if solid is not None else "no object"
         reason = str(err).splitlines()[0]
         raise SceneNotBuilt(f"no scene can be built of {name} at {size:g} m: {reason}") from err
-    scene = _index(model, mujoco.MjData(model), settings, tuple(hands))
+    scene = _index(model, mujoco.MjData(model), settings, tuple(hands), solid, size)
     _apply_settings(scene)
     return scene
 
 
 def _index(
-    model: mujoco.MjModel, data: mujoco.MjData, settings: SceneSettings, hands: tuple[Hand, ...]
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    settings: SceneSettings,
+    hands: tuple[Hand, ...],
+    solid: Solid | None,
+    size: float,
 ) -> SimScene:
-    roots = [model.joint(hand_prefix(i) + "root") for i in range(len(hands))]
+    welded = settings.base == "weld"
+    bases = [base_names(i) for i in range(len(hands))]
+    roots = [
+        model.joint(hand_prefix(i) + "root" if welded else bases[i][0]) for i in range(len(hands))
+    ]
+    every_joint = settings.actuators == "joints"
     joints, actuators, finger_names = [], [], []
     owner = np.full(model.ngeom, NOBODY)
     body_in_hand = np.full(model.ngeom, -1)
@@ -124,7 +158,8 @@ def _index(
     for i, hand in enumerate(hands):
         prefix = hand_prefix(i)
         joints.append(_ids(model.jnt_qposadr[model.joint(prefix + n).id] for n in hand.joint_names))
-        actuators.append(_ids(model.actuator(prefix + n).id for n in hand.actuator_names))
+        names = [joint_actuator(n) for n in hand.joint_names] if every_joint else None
+        actuators.append(_ids(model.actuator(prefix + n).id for n in names or hand.actuator_names))
         finger_of = {b: f for f, bodies in hand.fingers.items() for b in bodies}
         first = len(finger_names)
         order = {f: first + k for k, f in enumerate(hand.fingers)}
@@ -144,15 +179,22 @@ def _index(
         hands=hands,
         root_qpos=_ids(j.qposadr[0] for j in roots),
         root_qvel=_ids(j.dofadr[0] for j in roots),
-        mocap=_ids(model.body(mocap_name(i)).mocapid[0] for i in range(len(hands))),
+        mocap=_ids(model.body(mocap_name(i)).mocapid[0] for i in range(len(hands) * welded)),
+        base_actuators=_ids(
+            model.actuator(n).id for names in bases for n in (() if welded else names)
+        ).reshape(-1, 6),
         joint_qpos=tuple(joints),
         actuators=tuple(actuators),
         object_qpos=int(free.qposadr[0]) if free is not None else -1,
         object_qvel=int(free.dofadr[0]) if free is not None else -1,
+        object_body=int(model.body(OBJECT_BODY).id) if has_object else -1,
         geom_owner=owner,
         geom_body=body_in_hand,
         geom_finger=finger,
         finger_names=tuple(finger_names),
+        source_origin=np.zeros(3) if solid is None else solid.source_origin * size,
+        object_mass=settings.mass
+        or (0.0 if solid is None else solid.mass(size, settings.density_of(solid, size))),
     )
 
 
@@ -190,10 +232,11 @@ def _apply_settings(scene: SimScene) -> None:
     model.geom_solref[of_hand] = s.hand_solref
     model.geom_solimp[of_hand, :3] = s.hand_solimp
     for actuators in scene.actuators:
+        kp = model.actuator_gainprm[actuators, 0].copy() if s.actuator_kp is None else s.actuator_kp
         model.actuator_gainprm[actuators] = 0.0
-        model.actuator_gainprm[actuators, 0] = s.actuator_kp
+        model.actuator_gainprm[actuators, 0] = kp
         model.actuator_biasprm[actuators] = 0.0
-        model.actuator_biasprm[actuators, 1] = -s.actuator_kp
+        model.actuator_biasprm[actuators, 1] = -kp
         model.actuator_forcelimited[actuators] = 1
         model.actuator_forcerange[actuators] = (-s.actuator_force, s.actuator_force)
         model.actuator_ctrllimited[actuators] = 0

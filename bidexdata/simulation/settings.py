@@ -7,8 +7,12 @@ The defaults are those of protocol `paper-1`. Where the paper is silent they fol
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 from bidexdata.errors import BadConfig
+
+if TYPE_CHECKING:
+    from bidexdata.objects.prepared import Solid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,6 +47,9 @@ class SceneSettings:
     """Contact dimension: normal, two tangents, spin."""
     density: float = 2.5
     """Density of the solid [kg/m^3] (paper, section 6, as printed)."""
+    mass: float | None = None
+    """Nominal mass of every object in place of a density [kg]; it belongs to the solid's nominal
+    volume, so pieces of another volume weigh a little else (DexGraspBench)."""
 
     hand_solref: tuple[float, float] = (0.005, 1.0)
     """Time constant [s] and damping ratio of the hand's geoms; the object keeps the defaults."""
@@ -59,10 +66,17 @@ class SceneSettings:
     """Pairs of one hand's bodies that do not collide, besides those that the hand's own model
     excludes; names without side prefix, pairs that a hand lacks are skipped."""
 
-    actuator_kp: float = 5.0
-    """Stiffness of every position actuator [N m/rad]; no derivative gain."""
+    actuators: Literal["hand", "joints"] = "hand"
+    """The hand's own actuators (tendons of coupled joints included), or one for every joint."""
+    actuator_kp: float | None = 5.0
+    """Stiffness of every position actuator [N m/rad]; no derivative gain. None: the hand's own;
+    a joint without an actuator of its own gets that of the tendon that moves it."""
     actuator_force: float = 3.0
     """Largest torque of an actuator, both signs [N m]; controls have no range."""
+
+    base: Literal["weld", "slides"] = "weld"
+    """How a hand is carried: a free joint welded to a mocap body, or three slides and three hinges
+    with position actuators (the dummy arm of BimanDexGraspBench)."""
 
     weld_solref: tuple[float, float] = (0.02, 1.0)
     """Time constant [s] and damping ratio of the weld between hand root and mocap body."""
@@ -70,12 +84,19 @@ class SceneSettings:
     """Impedance of the weld."""
     weld_torque_scale: float = 1.0
     """Weight of the weld's rotation against its translation [m]."""
+    weld_anchor: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Point of the hand frame that the weld holds [m]."""
+    slide_gains: tuple[float, float] = (1000.0, 100.0)
+    """Stiffness [N/m] and joint damping [N s/m] of a slide of the base."""
+    hinge_gains: tuple[float, float] = (100.0, 10.0)
+    """Stiffness [N m/rad] and joint damping [N m s/rad] of a hinge of the base."""
     hand_gravity_compensation: float = 0.0
     """Share of gravity that does not act on the hands [-]."""
 
     def __post_init__(self) -> None:
-        positive = ("timestep", "impratio", "density", "actuator_kp", "actuator_force", "tolerance")
-        for name in positive:
+        positive = ("timestep", "impratio", "density", "actuator_force", "tolerance")
+        optional = tuple(n for n in ("mass", "actuator_kp") if getattr(self, n) is not None)
+        for name in positive + optional:
             if not getattr(self, name) > 0:
                 raise BadConfig(f"scene.{name} must be positive, not {getattr(self, name)!r}")
         for name in ("friction_slide", "friction_spin", "friction_roll", "noslip_iterations"):
@@ -83,3 +104,7 @@ class SceneSettings:
                 raise BadConfig(f"scene.{name} must not be negative, got {getattr(self, name)!r}")
         if self.condim not in (1, 3, 4, 6):
             raise BadConfig(f"scene.condim must be 1, 3, 4 or 6, not {self.condim!r}")
+
+    def density_of(self, solid: Solid, size: float) -> float:
+        """Density [kg/m^3] of a solid at bounding-box diagonal `size` [m]."""
+        return self.density if self.mass is None else self.mass / (solid.nominal_volume * size**3)

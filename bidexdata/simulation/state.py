@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bidexdata.frames import matrix_from_quat
+
 from .scene import SimScene
 
 FloatArray = NDArray[np.float64]
@@ -38,13 +40,42 @@ def set_pose(
     hand_pos, hand_quat = np.asarray(hand_pos, float), np.asarray(hand_quat, float)
     joints = np.asarray(joints, float)
     for i, address in enumerate(scene.root_qpos):
-        data.qpos[address : address + 3] = hand_pos[i]
-        data.qpos[address + 3 : address + 7] = hand_quat[i]
+        if scene.settings.base == "weld":
+            data.qpos[address : address + 3] = hand_pos[i]
+            data.qpos[address + 3 : address + 7] = hand_quat[i]
+        else:
+            data.qpos[address : address + 6] = [*hand_pos[i], *_hinge_angles(hand_quat[i])]
         own = joints[i, : len(scene.joint_qpos[i])]
         data.qpos[scene.joint_qpos[i]] = own
         data.ctrl[scene.actuators[i]] = scene.controls(i, own)
-        data.mocap_pos[scene.mocap[i]] = hand_pos[i]
-        data.mocap_quat[scene.mocap[i]] = hand_quat[i]
+    set_targets(scene, hand_pos, hand_quat)
+
+
+def set_targets(scene: SimScene, hand_pos: FloatArray, hand_quat: FloatArray) -> None:
+    """Command poses (H, 3) [m] and (H, 4) of the hands' roots."""
+    data = scene.data
+    if scene.settings.base == "weld":
+        data.mocap_pos[scene.mocap] = hand_pos
+        data.mocap_quat[scene.mocap] = hand_quat
+        return
+    for i, address in enumerate(scene.root_qpos):
+        angles = _hinge_angles(hand_quat[i])
+        # The turn nearest to where the hinges are: a target never asks for a whole turn.
+        now = data.qpos[address + 3 : address + 6]
+        angles += 2 * np.pi * np.round((now - angles) / (2 * np.pi))
+        data.ctrl[scene.base_actuators[i]] = [*hand_pos[i], *angles]
+
+
+def _hinge_angles(quat: FloatArray) -> FloatArray:
+    """Angles of hinges about x, y, z in this order of bodies: R = Rx Ry Rz [rad], (3,)."""
+    R = matrix_from_quat(quat)
+    return np.array(
+        [
+            np.arctan2(-R[1, 2], R[2, 2]),
+            np.arcsin(np.clip(R[0, 2], -1.0, 1.0)),
+            np.arctan2(-R[0, 1], R[0, 0]),
+        ]
+    )
 
 
 def object_pose(scene: SimScene) -> tuple[FloatArray, FloatArray]:

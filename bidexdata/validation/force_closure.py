@@ -1,40 +1,41 @@
-"""Test f: close the hands without gravity, then gravity along each axis of the object."""
+"""Test f: close the hands without gravity, then the load along each axis of the object."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
+from numpy.typing import NDArray
 
 from bidexdata.frames import matrix_from_quat
 from bidexdata.record import Status
-from bidexdata.simulation.distances import measure_distances
+from bidexdata.record.status import TestStage
 from bidexdata.simulation.scene import SimScene
 from bidexdata.simulation.state import set_pose
 
-from .protocols import Protocol
-from .stages import Execution, Grasp, Phase, check, closing_path, follow, hold, touches_object
-
-DIRECTIONS = ("+x", "-x", "+y", "-y", "+z", "-z")
-"""Loads in the order of the record's `direction`, along the object's axes."""
-
-
-class Verdict(NamedTuple):
-    """What became of one grasp in one test."""
-
-    status: Status
-    direction: int
-    """First failing load; -1 when none failed."""
-    drift_pos: float
-    """Largest displacement at a check [m]; NaN when nothing was simulated."""
-    drift_rot: float
-    """Largest rotation at a check [rad]."""
-    time: float
-    """Simulated time of the failure since the start of its phase [s]; NaN on success."""
+from .margin import largest_multiple
+from .protocols import DIRECTIONS, Protocol
+from .stages import (
+    Execution,
+    Grasp,
+    Phase,
+    Reference,
+    Watch,
+    check,
+    clear_load,
+    close_hands,
+    hold,
+    reference,
+    set_load,
+    touches_object,
+)
+from .verdict import UNSTABLE, Verdict, closing_failure, hold_cause, start_overlap
 
 
 def force_closure(
-    scene: SimScene, protocol: Protocol, grasp: Grasp, execution: Execution
+    scene: SimScene,
+    protocol: Protocol,
+    grasp: Grasp,
+    execution: Execution,
+    watch: Watch | None = None,
 ) -> Verdict:
     """Run test f on one grasp.
 
@@ -43,29 +44,62 @@ def force_closure(
     """
     import mujoco
 
-    if overlaps_at_start(scene, protocol, grasp):
-        return Verdict(Status.START_PENETRATION, -1, np.nan, np.nan, 0.0)
-    model, data = scene.model, scene.data
-    start = (grasp.object_pos, grasp.object_quat)
+    refused = start_overlap(scene, protocol, grasp)
+    if refused is not None:
+        return refused
     at = (grasp.hand_pos[:, 0], grasp.hand_quat[:, 0], grasp.joints[:, 0])
-    set_pose(scene, *start, *at)
-    model.opt.gravity[:] = 0.0
-    follow(scene, protocol, closing_path(scene, protocol, grasp))
-    status, moved, turned = check(scene, protocol, start)
-    if status is not Status.OK:
-        status = Status.UNSTABLE if status is Status.UNSTABLE else Status.THROWN
-        return Verdict(status, -1, moved, turned, protocol.closing_time)
+    clear_load(scene)
+    set_pose(scene, grasp.object_pos, grasp.object_quat, *at)
+    wanted = reference(scene, protocol)
+    close_hands(scene, protocol, grasp, watch)
+    status, moved, turned = check(scene, protocol, wanted)
+    if status in UNSTABLE or (protocol.check_closing and status is not Status.OK):
+        return closing_failure(protocol, status, moved, turned)
     touched = touches_object(scene)
+    closed = np.empty(mujoco.mj_stateSize(scene.model, mujoco.mjtState.mjSTATE_INTEGRATION))
+    mujoco.mj_getState(scene.model, scene.data, closed, mujoco.mjtState.mjSTATE_INTEGRATION)
 
-    closed = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION))
-    mujoco.mj_getState(model, data, closed, mujoco.mjtState.mjSTATE_INTEGRATION)
+    def loaded(multiple: float, watch: Watch | None = None) -> tuple[int, Phase]:
+        return _all_directions(
+            scene, protocol, grasp, closed, wanted, execution, multiple, watch
+        )
+
+    direction, phase = loaded(1.0, watch)
+    drift_pos = float(np.fmax(moved, phase.drift_pos))
+    drift_rot = float(np.fmax(turned, phase.drift_rot))
+    margin = np.nan
+    if execution.load_margin:
+        margin = largest_multiple(phase.status is Status.OK, lambda m: loaded(m)[0] < 0)
+    if direction < 0:
+        return Verdict(
+            Status.OK, drift_pos=drift_pos, drift_rot=drift_rot, load_margin=margin
+        )
+    cause = hold_cause(phase, touched=touched)
+    return Verdict(cause, TestStage.HOLD, direction, drift_pos, drift_rot, phase.time, margin)
+
+
+def _all_directions(
+    scene: SimScene,
+    protocol: Protocol,
+    grasp: Grasp,
+    closed: NDArray[np.float64],
+    wanted: Reference,
+    execution: Execution,
+    multiple: float,
+    watch: Watch | None,
+) -> tuple[int, Phase]:
+    """Hold under each load in turn; the first failing direction, -1 when none fails."""
+    import mujoco
+
     axes = matrix_from_quat(grasp.object_quat).T
-    worst = Phase(Status.OK, moved, turned, np.nan)
-    for direction in range(len(DIRECTIONS)):
-        mujoco.mj_setState(model, data, closed, mujoco.mjtState.mjSTATE_INTEGRATION)
-        sign = 1.0 if direction % 2 == 0 else -1.0
-        load = sign * protocol.gravity * axes[direction // 2]
-        phase = hold(scene, protocol, load, start, execution)
+    worst = Phase(Status.OK, 0.0, 0.0, np.nan)
+    for name in protocol.directions:
+        direction = DIRECTIONS.index(name)
+        mujoco.mj_setState(scene.model, scene.data, closed, mujoco.mjtState.mjSTATE_INTEGRATION)
+        sign = 1.0 if name[0] == "+" else -1.0
+        set_load(scene, protocol, sign * axes[direction // 2], multiple)
+        phase = hold(scene, protocol, protocol.checks, wanted, execution, watch)
+        clear_load(scene)
         worst = Phase(
             phase.status,
             float(np.fmax(worst.drift_pos, phase.drift_pos)),
@@ -73,19 +107,5 @@ def force_closure(
             phase.time,
         )
         if phase.status is not Status.OK:
-            lost = phase.status is not Status.UNSTABLE and not touched
-            return Verdict(
-                Status.NO_CONTACT if lost else phase.status,
-                direction,
-                worst.drift_pos,
-                worst.drift_rot,
-                phase.time,
-            )
-    return Verdict(Status.OK, -1, worst.drift_pos, worst.drift_rot, np.nan)
-
-
-def overlaps_at_start(scene: SimScene, protocol: Protocol, grasp: Grasp) -> bool:
-    """Whether the pre-grasp overlaps deeper than the protocol allows, with object or hands."""
-    at = (grasp.hand_pos[:, 0], grasp.hand_quat[:, 0], grasp.joints[:, 0])
-    d = measure_distances(scene, grasp.object_pos, grasp.object_quat, *at, reach=0.0)
-    return min(d.hand_object, d.self_collision, d.inter_hand) < -protocol.start_depth
+            return direction, worst
+    return -1, worst

@@ -2,16 +2,26 @@
 
 Source:
     DexGraspBench (its metrics at the grasp pose), over both hands and all fingers as in
-    BiDexGrasp, section 6; its index and name traps are not reproduced.
+    BiDexGrasp, section 6. Which of its index and name traps are reproduced is the protocol's
+    `MetricRules`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bidexdata.simulation.distances import Distances
+from bidexdata.hands.model import Hand
+from bidexdata.simulation.distances import Distances, measure_distances
+from bidexdata.simulation.scene import SimScene
+
+from .protocols import MetricRules
+from .stages import Grasp
+
+FloatArray = NDArray[np.float64]
 
 
 class Metrics(NamedTuple):
@@ -24,24 +34,59 @@ class Metrics(NamedTuple):
     cdc: float
     """Largest minus smallest signed finger-object distance, capped at the reach [m]."""
     contact_number: int
-    """Hand bodies within the contact threshold of the object, or inside it."""
+    """Hand bodies in contact with the object, by the protocol's rule."""
     contact_distance: float
     """Mean over fingers of the distance to the object, 0 where a finger is inside [m]."""
 
 
-def grasp_metrics(distances: Distances, contact_within: float) -> Metrics:
+def measure(scene: SimScene, rules: MetricRules, grasp: Grasp) -> Distances:
+    """Measure the distances at the grasp pose as the rules want them."""
+    return measure_distances(
+        scene,
+        grasp.object_pos,
+        grasp.object_quat,
+        grasp.hand_pos[:, 1],
+        grasp.hand_quat[:, 1],
+        grasp.joints[:, 1],
+        reach=rules.reach,
+        full_broad_phase=rules.full_broad_phase,
+        last_body_counts=rules.last_body_counts,
+    )
+
+
+def grasp_metrics(
+    distances: Distances, rules: MetricRules, hands: Sequence[Hand] = ()
+) -> Metrics:
     """Compute the figures from the distances at the grasp.
 
     Args:
-        distances: Measured with the protocol's reach.
-        contact_within: A body closer than this counts as in contact [m].
+        distances: From `measure`.
+        rules: What counts.
+        hands: Needed where fingers go by the prefix of their bodies' names.
     """
-    fingers = distances.fingers
+    fingers = _by_prefix(distances, hands) if rules.fingers_by_prefix else distances.fingers
     has_fingers = len(fingers) > 0
+    deepest = min(distances.hand_object, 0.0)
+    among = min(distances.self_collision, distances.inter_hand, 0.0)
+    if rules.table_is_hand:
+        deepest = min(deepest, distances.object_table)
+        among = min(among, distances.table)
+    near = [np.abs(b) if not rules.deep_counts else b for b in distances.bodies]
     return Metrics(
-        pd=max(0.0, -distances.hand_object),
-        spd=max(0.0, -distances.self_collision, -distances.inter_hand),
+        pd=-deepest or 0.0,
+        spd=-among or 0.0,
         cdc=float(np.ptp(fingers)) if has_fingers else np.nan,
-        contact_number=int(sum((b < contact_within).sum() for b in distances.bodies)),
+        contact_number=int(sum((b < rules.contact_within).sum() for b in near)),
         contact_distance=float(np.maximum(fingers, 0.0).mean()) if has_fingers else np.nan,
     )
+
+
+def _by_prefix(distances: Distances, hands: Sequence[Hand]) -> FloatArray:
+    """Smallest distance of the bodies whose names begin with a finger's, (F,)."""
+    nearest = []
+    for hand, bodies in zip(hands, distances.bodies, strict=True):
+        names = [n.removeprefix(hand.side[0] + "h_") for n in hand.body_names]
+        for finger in hand.fingers:
+            mine = [k for k, name in enumerate(names) if name.startswith(finger)]
+            nearest.append(float(bodies[mine].min()))
+    return np.array(nearest)

@@ -1,16 +1,69 @@
-"""Named, versioned validation protocols: every setting that can change a verdict.
+"""Named, versioned validation protocols: every setting that can change a verdict or a metric.
 
 A protocol is data. Any other setting is another name; execution choices that change no verdict
-(early stops) are `validate.Execution` and no part of it.
+(early stops) are `stages.Execution` and no part of it. The named ones are in `named.py`.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
 
+from bidexdata.config import from_plain, load_yaml, merge, to_plain
 from bidexdata.errors import BadConfig, NotUsable, UnknownName
 from bidexdata.simulation.settings import SceneSettings
+
+DIRECTIONS = ("+x", "-x", "+y", "-y", "+z", "-z")
+"""Loads in the order of the record's `direction`."""
+_NAME = re.compile(r"[a-z0-9][a-z0-9_.-]{0,63}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiftRules:
+    """How test l lifts an object off the table."""
+
+    height: float = 0.10
+    """Way of the hands' targets along +z [m]."""
+    changes: int = 50
+    """Equal steps of the targets; 50 steps of 0.10 m are 2 mm each."""
+    steps: int = 5
+    """Simulation steps after each; 50 x 5 x 4 ms = 1.0 s."""
+    hold: float = 3.0
+    """Time after the lift through which the object is judged [s]; 0: once, at its end."""
+
+    def __post_init__(self) -> None:
+        for name in ("height", "changes", "steps"):
+            if not getattr(self, name) > 0:
+                raise BadConfig(f"lift.{name} must be positive, not {getattr(self, name)!r}")
+        if not self.hold >= 0:
+            raise BadConfig(f"lift.hold must not be negative, got {self.hold!r}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MetricRules:
+    """What PD, SPD, CDC and the contact figures count."""
+
+    reach: float = 0.01
+    """Finger distances are capped here, for CDC and contact distance [m] (DexGraspBench)."""
+    contact_within: float = 0.002
+    """A body closer than this to the object counts as in contact [m]."""
+    deep_counts: bool = True
+    """A body deeper inside than that is in contact too; DexGraspBench compares the absolute
+    distance, so to it such a body has no contact (its trap 9)."""
+    fingers_by_prefix: bool = False
+    """A finger's bodies are all whose names begin with its own, so that the little finger has the
+    metacarpal too (DexGraspBench, its trap 3)."""
+    table_is_hand: bool = False
+    """The table counts as a hand: its contacts with the object enter PD and the start check, with
+    hands SPD (DexGraspBench, its trap 1)."""
+    last_body_counts: bool = True
+    """The last body of the last hand enters SPD; BimanDexGraspBench leaves it out (trap 2)."""
+    full_broad_phase: bool = True
+    """Pairs up to `reach` apart are all found. DexGraspBench changes margins after compiling, and
+    the broad phase then misses some, whose fingers read as being at the reach."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,8 +73,8 @@ class Protocol:
     name: str
     description: str
     """One sentence for `bidexdata protocols`."""
-    tests: tuple[str, ...] = ("f",)
-    """Tests that the protocol defines: f force closure."""
+    tests: tuple[str, ...] = ("f", "l")
+    """Tests that the protocol defines: f force closure, l lift off a table."""
     scene: SceneSettings = field(default_factory=SceneSettings)
 
     start_depth: float = 0.01
@@ -31,32 +84,52 @@ class Protocol:
     segment_steps: int = 10
     """Simulation steps after each control change; 10 x 10 x 4 ms = 0.4 s a segment."""
 
+    load: Literal["gravity", "force"] = "gravity"
+    """Gravity on everything, or a force at the object's centre of mass alone, which then is
+    `gravity` times the nominal mass (DexGraspBench)."""
     gravity: float = 9.8
-    """Load of test f, along each object axis in both directions [m/s^2] (paper, section 6)."""
+    """The load: along each direction in test f, down in test l [m/s^2] (paper, section 6)."""
+    directions: tuple[str, ...] = DIRECTIONS
+    """Loads of test f in the order in which they are applied, along the object's axes."""
     hold: float = 3.0
-    """Duration of each load [s] (paper, section 6)."""
+    """Duration of each load of test f [s] (paper, section 6)."""
+    lift: LiftRules = field(default_factory=LiftRules)
     check_every: float = 0.1
     """Time between comparisons with the pose before closing [s]."""
+    check_closing: bool = True
+    """Test f compares once before the load too: what leaves the limits while closing fails."""
     limit_pos: float = 0.05
     """The object's origin must stay closer than this [m] (paper, section 6)."""
     limit_rot: float = math.radians(15.0)
     """The object must turn less than this [rad] (paper, section 6)."""
+    reference: Literal["centre_of_mass", "source_origin"] = "centre_of_mass"
+    """The point whose displacement counts: the object frame's origin, or that of the source's
+    coordinates, where DexGraspBench has its body frame."""
     unstable_speed: float = 50.0
     """Faster than this the simulation counts as blown up [m/s]; free fall of 3 s reaches 29."""
 
-    reach: float = 0.01
-    """Finger distances are capped here, for CDC and contact distance [m] (DexGraspBench)."""
-    contact_within: float = 0.002
-    """A body closer than this to the object, or inside it, counts as in contact [m]."""
+    metrics: MetricRules = field(default_factory=MetricRules)
 
     def __post_init__(self) -> None:
-        for name in ("segment_changes", "segment_steps", "hold", "check_every", "limit_pos"):
+        positive = ("segment_changes", "segment_steps", "hold", "check_every", "limit_pos")
+        for name in positive:
             if not getattr(self, name) > 0:
                 raise BadConfig(f"protocol.{name} must be positive, not {getattr(self, name)!r}")
         if not 0 < self.limit_rot <= math.pi:
             raise BadConfig(f"protocol.limit_rot must be in (0, pi], not {self.limit_rot!r}")
         if self.steps_per_check < 1 or self.checks < 1:
             raise BadConfig("protocol.check_every must be at least a timestep and at most hold")
+        unknown = [t for t in self.tests if t not in ("f", "l")]
+        if unknown or not self.tests:
+            raise BadConfig(f"protocol.tests may name f and l, not {list(self.tests)!r}")
+        wrong = [d for d in self.directions if d not in DIRECTIONS]
+        if wrong or not self.directions:
+            known = ", ".join(DIRECTIONS)
+            raise BadConfig(f"protocol.directions may name {known}, not {list(self.directions)!r}")
+        if not _NAME.fullmatch(self.name):
+            raise BadConfig(
+                f"protocol.name {self.name!r}: use lower-case letters, digits, dots and dashes"
+            )
 
     @property
     def steps_per_check(self) -> int:
@@ -65,8 +138,13 @@ class Protocol:
 
     @property
     def checks(self) -> int:
-        """Checks per load."""
+        """Checks per load of test f."""
         return round(self.hold / self.check_every)
+
+    @property
+    def lift_checks(self) -> int:
+        """Checks after the lift of test l; 0: one at its very end."""
+        return round(self.lift.hold / self.check_every)
 
     @property
     def closing_time(self) -> float:
@@ -74,31 +152,64 @@ class Protocol:
         return 2 * self.segment_changes * self.segment_steps * self.scene.timestep
 
 
-_PROTOCOLS = {
-    "paper-1": Protocol(
-        name="paper-1",
-        description=(
-            "BiDexGrasp, section 6: hands on welds, density 2.5 kg/m^3, gravity 9.8 m/s^2 along "
-            "each object axis for 3 s after closing, limits 5 cm and 15 degrees"
-        ),
-    )
-}
-
-
 def protocol_names() -> tuple[str, ...]:
-    """Names that `load_protocol` knows."""
-    return tuple(_PROTOCOLS)
+    """Names that `load_protocol` knows without a file."""
+    from .named import NAMED
+
+    return tuple(NAMED)
 
 
-def load_protocol(name: str) -> Protocol:
-    """Give a protocol by name.
+def load_protocol(name: str | Path) -> Protocol:
+    """Give a protocol by name, or read one from a YAML file.
+
+    A file may name a `base`, a known protocol whose settings it changes; it needs a `name` and a
+    `description` of its own.
+
+    Args:
+        name: A name from `protocol_names`, or the path of a `.yaml` or `.yml` file.
 
     Raises:
         UnknownName: No protocol is called so.
+        PathNotFound: The file does not exist.
+        BadConfig: The file has an unknown key or an impossible value.
+        NotUsable: The file takes the name of a known protocol for other settings.
     """
-    if name not in _PROTOCOLS:
-        raise UnknownName("protocol", name, protocol_names(), "`bidexdata protocols` lists them")
-    return _PROTOCOLS[name]
+    from .named import NAMED
+
+    text = str(name)
+    if text.endswith((".yaml", ".yml")):
+        return _from_file(Path(text))
+    if text not in NAMED:
+        raise UnknownName(
+            "protocol", text, NAMED, "`bidexdata protocols` lists them, and a YAML file works"
+        )
+    return NAMED[text]
+
+
+def protocol_from(data: Any, where: str) -> Protocol:
+    """Rebuild a protocol from the plain data that a run or release stores.
+
+    Raises:
+        BadConfig: It is none.
+    """
+    return from_plain(Protocol, data, where)
+
+
+def _from_file(path: Path) -> Protocol:
+    data = load_yaml(path)
+    base = data.pop("base", None)
+    missing = [key for key in ("name", "description") if key not in data]
+    if missing:
+        raise BadConfig(f"{path}: a protocol needs its own {' and '.join(missing)}")
+    if base is not None:
+        data = merge(to_plain(load_protocol(str(base))), data)
+    protocol = protocol_from(data, str(path))
+    if protocol.name in protocol_names() and protocol != load_protocol(protocol.name):
+        raise NotUsable(
+            f"{path}: {protocol.name!r} is the name of a protocol with other settings; choose "
+            "another name"
+        )
+    return protocol
 
 
 def require_test(protocol: Protocol, test: str) -> None:

@@ -13,17 +13,21 @@ from bidexdata.objects.prepared import Solid
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.batch import empty_columns
 from bidexdata.record.fields import columns_written_by
-from bidexdata.simulation.distances import measure_distances
 from bidexdata.simulation.engine_log import engine_warnings_logged
 from bidexdata.simulation.scene import SceneNotBuilt, SimScene, build_scene
 
-from .force_closure import Verdict, force_closure
-from .metrics import Metrics, grasp_metrics
+from .analytic import analytic_metrics
+from .force_closure import force_closure
+from .lift import lift
+from .metrics import grasp_metrics, measure
 from .protocols import Protocol, require_test
 from .stages import Execution as Execution
 from .stages import Grasp
+from .verdict import Verdict
 
-_TESTS = {"f": force_closure}
+TESTS = {"f": force_closure, "l": lift}
+WITH_TABLE = frozenset("l")
+"""Tests whose scene has the table."""
 
 FARTHEST = 1000.0
 """Poses beyond this are refused [m]: float32 then resolves less than 0.1 mm."""
@@ -72,15 +76,17 @@ def validate_grasps(
     for size_mm in np.unique(batch.size_mm[runnable]):
         rows = np.flatnonzero(runnable & (batch.size_mm == size_mm))
         try:
-            scene = build_scene(hands, solid, float(size_mm) / 1000, protocol.scene)
+            scene = build_scene(
+                hands, solid, float(size_mm) / 1000, protocol.scene, table=test in WITH_TABLE
+            )
         except SceneNotBuilt:
             columns["verdict_status"][rows] = Status.NO_SCENE
             continue
         with engine_warnings_logged():
             for row in rows:
                 grasp = grasp_of(batch, int(row))
-                _write_metrics(columns, int(row), _measure(scene, protocol, grasp))
-                verdict = _TESTS[test](scene, protocol, grasp, execution)
+                _write_metrics(columns, int(row), scene, protocol, grasp, execution)
+                verdict = TESTS[test](scene, protocol, grasp, execution)
                 _write_verdict(columns, int(row), verdict)
     return columns
 
@@ -101,23 +107,27 @@ def _unit(quat: NDArray[np.float32]) -> NDArray[np.float64]:
     return quat64 / np.linalg.norm(quat64, axis=-1, keepdims=True)
 
 
-def _measure(scene: SimScene, protocol: Protocol, grasp: Grasp) -> Metrics:
-    at = (grasp.hand_pos[:, 1], grasp.hand_quat[:, 1], grasp.joints[:, 1])
-    distances = measure_distances(
-        scene, grasp.object_pos, grasp.object_quat, *at, reach=protocol.reach
-    )
-    return grasp_metrics(distances, protocol.contact_within)
-
-
-def _write_metrics(columns: dict[str, np.ndarray], row: int, metrics: Metrics) -> None:
-    for name, value in metrics._asdict().items():
+def _write_metrics(
+    columns: dict[str, np.ndarray],
+    row: int,
+    scene: SimScene,
+    protocol: Protocol,
+    grasp: Grasp,
+    execution: Execution,
+) -> None:
+    distances = measure(scene, protocol.metrics, grasp)
+    values = grasp_metrics(distances, protocol.metrics, scene.hands)._asdict()
+    if execution.analytic:
+        friction = (protocol.scene.friction_slide, protocol.scene.friction_spin)
+        values |= analytic_metrics(scene.hands, distances.contacts, friction)._asdict()
+    for name, value in values.items():
         columns[name][row] = value
 
 
 def _write_verdict(columns: dict[str, np.ndarray], row: int, verdict: Verdict) -> None:
     columns["success"][row] = verdict.status is Status.OK
     columns["verdict_status"][row] = verdict.status
-    for name in ("direction", "drift_pos", "drift_rot", "time"):
+    for name in ("failed_stage", "direction", "drift_pos", "drift_rot", "time", "load_margin"):
         columns[name][row] = getattr(verdict, name)
 
 

@@ -12,11 +12,12 @@ from grasps import batch_of, squeeze, turned
 from bidexdata.frames import quat_from_rotation_vector, random_quat
 from bidexdata.record import Status
 from bidexdata.record.fields import columns_written_by
+from bidexdata.record.status import TestStage
 from bidexdata.simulation.distances import measure_distances
 from bidexdata.simulation.scene import build_scene
 from bidexdata.simulation.state import object_pose, set_pose
 from bidexdata.validation import Execution, load_protocol, validate_grasps
-from bidexdata.validation.stages import closing_path, hold
+from bidexdata.validation.stages import clear_load, closing_path, hold, reference, set_load
 from bidexdata.validation.validate import grasp_of
 
 PAPER = load_protocol("paper-1")
@@ -43,6 +44,7 @@ def test_two_palms_that_squeeze_a_box_hold_it(squeezed):
     assert squeezed["success"].tolist() == [True]
     assert squeezed["verdict_status"][0] == Status.OK
     assert squeezed["direction"][0] == -1
+    assert squeezed["failed_stage"][0] == TestStage.NONE
     assert squeezed["drift_pos"][0] < 0.02
     assert squeezed["drift_rot"][0] < 0.1
     assert np.isnan(squeezed["time"][0])
@@ -54,6 +56,7 @@ def test_hands_far_from_the_object_fail_when_it_has_fallen_five_centimetres(hand
     out = verdicts(hands, [far])
     assert out["verdict_status"][0] == Status.NO_CONTACT
     assert not out["success"][0]
+    assert out["failed_stage"][0] == TestStage.HOLD
     assert out["direction"][0] == 0
     assert out["time"][0] == pytest.approx(0.1)
     # 25 semi-implicit steps: g h^2 25 26 / 2
@@ -61,7 +64,7 @@ def test_hands_far_from_the_object_fail_when_it_has_fallen_five_centimetres(hand
     assert out["drift_rot"][0] == pytest.approx(0, abs=1e-6)
     assert out["pd"][0] == 0
     assert out["contact_number"][0] == 0
-    assert out["contact_distance"][0] == pytest.approx(PAPER.reach)
+    assert out["contact_distance"][0] == pytest.approx(PAPER.metrics.reach)
     assert out["cdc"][0] == 0
 
 
@@ -87,6 +90,7 @@ def test_a_push_from_one_side_throws_the_object(hands):
     out = verdicts(hands, [(pos, quat, joints)])
     assert out["verdict_status"][0] == Status.THROWN
     assert out["direction"][0] == -1
+    assert out["failed_stage"][0] == TestStage.CLOSING
     assert out["time"][0] == pytest.approx(PAPER.closing_time)
     assert out["drift_pos"][0] > PAPER.limit_pos
 
@@ -96,6 +100,7 @@ def test_a_start_inside_the_object_is_not_simulated(hands):
     out = verdicts(hands, [inside])
     assert out["verdict_status"][0] == Status.START_PENETRATION
     assert out["time"][0] == 0
+    assert out["failed_stage"][0] == TestStage.START
     assert np.isnan(out["drift_pos"][0])
     assert out["pd"][0] > 0.03 - 1e-3
 
@@ -113,7 +118,8 @@ def test_a_hand_that_jumps_away_at_absurd_speed_is_unstable(hands):
     pos, quat, joints = squeeze(hands)
     pos[0, 2] += (900.0, 0, 0)
     out = verdicts(hands, [(pos, quat, joints)])
-    assert out["verdict_status"][0] == Status.UNSTABLE
+    assert out["verdict_status"][0] in (Status.UNSTABLE, Status.BLOWN_UP)
+    assert out["failed_stage"][0] == TestStage.CLOSING
 
 
 def test_the_order_of_the_rows_changes_no_bit(hands):
@@ -178,13 +184,16 @@ def test_without_hands_a_load_drops_the_object_and_no_load_leaves_it():
     nothing = np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 0))
     start = np.zeros(3), np.array([1.0, 0, 0, 0])
     set_pose(scene, *start, *nothing)
-    still = hold(scene, PAPER, np.zeros(3), start, PLAIN)
+    wanted = reference(scene, PAPER)
+    still = hold(scene, PAPER, PAPER.checks, wanted, PLAIN)
     assert still.status is Status.OK
     assert (still.drift_pos, still.drift_rot) == (0, 0)
     assert still.time == pytest.approx(3.0)
     np.testing.assert_array_equal(object_pose(scene)[0], 0)
     set_pose(scene, *start, *nothing)
-    fallen = hold(scene, PAPER, np.array([0, 0, 9.8]), start, Execution())
+    set_load(scene, PAPER, np.array([0, 0, 1.0]), 1.0)
+    fallen = hold(scene, PAPER, PAPER.checks, wanted, Execution())
+    clear_load(scene)
     assert fallen.status is Status.SLIP
     np.testing.assert_array_equal(scene.model.opt.gravity, 0)
 

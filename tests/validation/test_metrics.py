@@ -5,14 +5,21 @@ import pytest
 from box_solids import box_solid
 from grasps import batch_of, squeeze
 
-from bidexdata.simulation.distances import Distances
+from bidexdata.simulation.distances import Distances, HandContacts
 from bidexdata.validation import load_protocol, validate_grasps
 from bidexdata.validation.metrics import grasp_metrics
+from bidexdata.validation.protocols import MetricRules
 
 
 def distances(fingers=(0.01, 0.01), bodies=((0.01,),), **depths):
-    depths = {"hand_object": 0.01, "self_collision": 0.0, "inter_hand": 0.0, "table": 0.0} | depths
-    return Distances(**depths, fingers=np.array(fingers), bodies=tuple(np.array(b) for b in bodies))
+    zero = dict.fromkeys(("self_collision", "inter_hand", "table", "object_table"), 0.0)
+    nothing = HandContacts(*(np.zeros(0, int),) * 2, np.zeros(0), *(np.zeros((0, 3)),) * 2)
+    return Distances(
+        **({"hand_object": 0.01} | zero | depths),
+        fingers=np.array(fingers),
+        bodies=tuple(np.array(b) for b in bodies),
+        contacts=nothing,
+    )
 
 
 def test_figures_of_distances_computed_by_hand():
@@ -23,16 +30,26 @@ def test_figures_of_distances_computed_by_hand():
         self_collision=-0.001,
         inter_hand=-0.0025,
     )
-    m = grasp_metrics(d, contact_within=0.002)
+    m = grasp_metrics(d, MetricRules(contact_within=0.002))
     assert m.pd == 0.005
     assert m.spd == 0.0025
     assert m.cdc == pytest.approx(0.013)
     assert m.contact_number == 3  # bodies deep inside count, unlike in DexGraspBench
+    bench = MetricRules(contact_within=0.002, deep_counts=False)
+    assert grasp_metrics(d, bench).contact_number == 2
     assert m.contact_distance == pytest.approx(0.014 / 4)
 
 
+def test_a_table_that_counts_as_a_hand_deepens_the_figures():
+    d = distances(hand_object=-0.001, table=-0.004, object_table=-0.003)
+    as_hand = grasp_metrics(d, MetricRules(table_is_hand=True))
+    assert (as_hand.pd, as_hand.spd) == (0.003, 0.004)
+    apart = grasp_metrics(d, MetricRules())
+    assert (apart.pd, apart.spd) == (0.001, 0)
+
+
 def test_without_any_contact_depths_are_zero_and_distances_at_the_cap():
-    m = grasp_metrics(distances(), contact_within=0.002)
+    m = grasp_metrics(distances(), MetricRules(contact_within=0.002))
     assert (m.pd, m.spd, m.cdc, m.contact_number, m.contact_distance) == (0, 0, 0, 0, 0.01)
 
 

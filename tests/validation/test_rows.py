@@ -104,5 +104,5 @@ def test_another_object_other_hands_and_unknown_tests_are_refused(hands):
         validate_grasps(batch, box_solid(object_id="cup"), hands, PAPER)
     with pytest.raises(NotUsable, match="joints"):
         validate_grasps(batch, box_solid(), hands[::-1], PAPER)
-    with pytest.raises(NotUsable, match="no test 'z'; it has: f"):
+    with pytest.raises(NotUsable, match="no test 'z'; it has: f, l"):
         validate_grasps(batch, box_solid(), hands, PAPER, "z")
