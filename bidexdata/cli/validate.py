@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.report import command, counts_text, finish, warn
 
+if TYPE_CHECKING:
+    from bidexdata.validation.protocols import Protocol
+
 
 def validate(
     path: Annotated[Path, typer.Argument(metavar="RUN|RELEASE", help="What to test.")],
-    protocol: Annotated[str, typer.Option(help="`bidexdata protocols` lists them.")] = "paper-1",
+    protocol: Annotated[
+        str, typer.Option(help="`bidexdata protocols` lists them; a YAML file of your own works.")
+    ] = "paper-1",
     tests: Annotated[
         str, typer.Option(help="f, l, a separated by commas; by default what the rows allow.")
     ] = "",
@@ -21,16 +26,26 @@ def validate(
         Path | None,
         typer.Option(metavar="RUN2", help="For a release: the run that gets the new verdicts."),
     ] = None,
+    load_margin: Annotated[
+        bool,
+        typer.Option("--load-margin", help="Measure the load margin too (about ten times slower)."),
+    ] = False,
+    analytic: Annotated[
+        bool, typer.Option("--analytic", help="Compute Q1 and the QP certificate too.")
+    ] = False,
     workers: options.Workers = 0,
     executor: options.ExecutorName = "processes",
     shard: options.Shard = None,
+    config: options.ConfigFile = None,
+    assignments: options.Assignments = None,
     as_json: options.Json = False,
     quiet: options.Quiet = False,
     debug: options.Debug = False,
 ) -> None:
     """Test grasps in simulation by a named protocol.
 
-    Grasps that have a verdict are left alone, so the same command goes on after a stop.
+    Grasps that have a verdict are left alone, so the same command goes on after a stop. --config
+    and --set change settings of the protocol, which then needs a name of its own (--set name=NAME).
 
     --json keys: run, protocol, seconds and, per test in `tests`: tasks, tasks_before,
     tasks_failed, n, success, by_status, seconds. n, success and by_status count this call only.
@@ -38,10 +53,10 @@ def validate(
     from bidexdata.errors import NothingSucceeded, NotUsable
     from bidexdata.runs.retest import start_retest
     from bidexdata.runs.run import Run
-    from bidexdata.runs.validate import validate_run
+    from bidexdata.runs.validate import Extra, validate_run
     from bidexdata.validation.protocols import load_protocol
 
-    rules = load_protocol(protocol)
+    rules = _renamed(load_protocol(protocol), config, assignments)
     execution = options.execution_of(executor, workers, shard, quiet)
     if (path / "manifest.json").exists():
         if out is None:
@@ -51,10 +66,14 @@ def validate(
         if out is not None:
             raise NotUsable(f"--out is for releases; the verdicts of {path} are stored in it")
         run = Run.open(path)
-    reports = validate_run(run, rules, options.parse_words(tests), execution=execution)
+    wanted: dict[Extra, bool] = {"load_margin": load_margin, "analytic": analytic}
+    extras: list[Extra] = [name for name, asked in wanted.items() if asked]
+    reports = validate_run(
+        run, rules, options.parse_words(tests), execution=execution, extras=extras
+    )
     data: dict[str, Any] = {
         "run": str(run.path),
-        "protocol": protocol,
+        "protocol": rules.name,
         "seconds": round(sum(r.seconds for r in reports.values()), 3),
         "tests": {},
     }
@@ -86,6 +105,21 @@ def validate(
     finish(data, lines, following=following, as_json=as_json, quiet=quiet)
     # Rows of earlier calls count too: the exit code must not depend on how often one asks.
     if not any(r.good for r in reports.values()) and not any(
-        batch.success.any() for test in reports for batch in run.batches(protocol, test)
+        batch.success.any() for test in reports for batch in run.batches(rules.name, test)
     ):
         raise NothingSucceeded(f"{run.path}: not one grasp passed; `bidexdata info` says why")
+
+
+def _renamed(
+    protocol: Protocol, config: Path | None, assignments: list[str] | None
+) -> Protocol:
+    """Change settings of a protocol; refuse to do that under its own name."""
+    from bidexdata.errors import BadConfig
+
+    changed = options.configured(protocol, config, assignments)
+    if changed != protocol and changed.name == protocol.name:
+        raise BadConfig(
+            f"--set and --config change protocol {protocol.name!r}, and other settings are another "
+            "name: add --set name=NAME"
+        )
+    return changed

@@ -67,8 +67,10 @@ class Solid:
 
     @property
     def nominal_volume(self) -> float:
-        """Volume at unit diagonal that a nominal mass refers to: of another mesh of the object
-        where an imported benchmark says so, else the solid's."""
+        """Volume at unit diagonal that a nominal mass refers to.
+
+        That of another mesh of the object where an imported benchmark says so, else the solid's.
+        """
         return float(self.provenance.get("nominal_volume", self.volume))
 
     @property

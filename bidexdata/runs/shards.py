@@ -12,9 +12,9 @@ import json
 import os
 import socket
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bidexdata.errors import ConfigConflict, Contradiction, PathNotFound
 
@@ -37,18 +37,22 @@ def done_tasks(stage_folder: Path) -> set[str]:
     return {p.stem for p in stage_folder.glob(f"??/*{_SUFFIX}") if not p.name.startswith(".")}
 
 
-def write_shard(path: Path, table: pa.Table, fingerprint: str) -> None:
+def write_shard(
+    path: Path, table: pa.Table, fingerprint: str, notes: Mapping[str, Any] | None = None
+) -> None:
     """Write a table as a shard, atomically.
 
     Args:
         path: From `shard_path`.
         table: Rows in their final order; may be empty.
         fingerprint: Of the configuration that made the rows.
+        notes: How the rows were computed, where that is no part of the configuration; plain data.
     """
     import pyarrow as pa
     from pyarrow import ipc
 
-    mark = json.dumps({"fingerprint": fingerprint, "rows": table.num_rows}, sort_keys=True)
+    content = {"fingerprint": fingerprint, "rows": table.num_rows, "notes": dict(notes or {})}
+    mark = json.dumps(content, sort_keys=True)
     metadata = {**(table.schema.metadata or {}), _KEY: mark.encode()}
     table = table.replace_schema_metadata(metadata).combine_chunks()
     options = ipc.IpcWriteOptions(compression="zstd")
@@ -95,8 +99,8 @@ def read_shard(path: Path, fingerprint: str | None = None) -> pa.Table:
     return table
 
 
-def check_mark(path: Path, fingerprint: str) -> None:
-    """Check which configuration made a shard, without reading its rows.
+def check_mark(path: Path, fingerprint: str) -> dict[str, Any]:
+    """Check which configuration made a shard, without reading its rows; give its notes.
 
     Raises:
         ConfigConflict: Another one than `fingerprint` did.
@@ -108,11 +112,13 @@ def check_mark(path: Path, fingerprint: str) -> None:
     try:
         with pa.OSFile(str(path), "rb") as source:
             metadata = ipc.open_file(source).schema.metadata or {}
-        made_by = json.loads(metadata[_KEY])["fingerprint"]
+        mark = json.loads(metadata[_KEY])
+        made_by, notes = mark["fingerprint"], dict(mark.get("notes", {}))
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as err:
         raise _damaged(path, err) from err
     if made_by != fingerprint:
         raise ConfigConflict(path, [f"fingerprint: {made_by!r} -> {fingerprint!r}"])
+    return notes
 
 
 def _damaged(path: Path, err: Exception) -> Contradiction:

@@ -71,7 +71,6 @@ def scene_spec(
 
 
 def _add_hand(spec: mujoco.MjSpec, hand: Hand, index: int, settings: SceneSettings) -> None:
-    import mujoco
 
     child = hand.make_spec()
     # Options of the scene are set on the compiled model: equal ones here keep `attach` quiet.
@@ -120,9 +119,7 @@ def _weld(
     weld.data = data
 
 
-def _slide(
-    spec: mujoco.MjSpec, root: mujoco.MjsBody, index: int, settings: SceneSettings
-) -> None:
+def _slide(spec: mujoco.MjSpec, root: mujoco.MjsBody, index: int, settings: SceneSettings) -> None:
     """Carry a hand on three slides and three hinges, z last: R = Rx Ry Rz."""
     import mujoco
 

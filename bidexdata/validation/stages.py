@@ -86,7 +86,7 @@ class Reference(NamedTuple):
 
     def raised(self, height: float) -> Reference:
         """The same, `height` [m] higher."""
-        return Reference(self.pos + (0.0, 0.0, height), self.quat)
+        return Reference(self.pos + np.array([0.0, 0.0, height]), self.quat)
 
 
 class Phase(NamedTuple):
@@ -198,9 +198,7 @@ def reference(scene: SimScene, protocol: Protocol) -> Reference:
     return Reference(pos, quat)
 
 
-def check(
-    scene: SimScene, protocol: Protocol, wanted: Reference
-) -> tuple[Status, float, float]:
+def check(scene: SimScene, protocol: Protocol, wanted: Reference) -> tuple[Status, float, float]:
     """Compare the object with where it should be: status, displacement [m], angle [rad]."""
     unstable = instability(scene, protocol)
     if unstable is not None:
@@ -216,8 +214,11 @@ def check(
 
 
 def instability(scene: SimScene, protocol: Protocol) -> Status | None:
-    """UNSTABLE where MuJoCo warned or a number is not finite, BLOWN_UP where something flies
-    faster than is possible; None while all is well."""
+    """How the simulation has broken, None while all is well.
+
+    UNSTABLE where MuJoCo warned or a number is not finite, BLOWN_UP where something flies faster
+    than is possible.
+    """
     data = scene.data
     if np.any(data.warning.number) or not np.isfinite(data.qpos).all():
         return Status.UNSTABLE
