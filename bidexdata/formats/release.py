@@ -96,6 +96,11 @@ class Release:
         return tuple((p, t) for p, t in self.manifest["tests"])
 
     @property
+    def protocol_settings(self) -> dict[str, Any]:
+        """Settings of every protocol that has verdicts, plain data by name."""
+        return self.manifest.get("protocols", {})
+
+    @property
     def figures(self) -> dict[str, Any]:
         """Counts, rates and means as the card states them."""
         return self.manifest["figures"]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -77,6 +77,7 @@ def write_release(
     runs: Sequence[RunInfo],
     tests: Sequence[TestKey],
     default_protocol: str = "paper-1",
+    protocols: Mapping[str, Any] | None = None,
     seed: int = 0,
     test_fraction: float = 0.2,
     cloud_points: int = 2048,
@@ -96,6 +97,7 @@ def write_release(
         runs: The runs that the rows come from.
         tests: The (protocol, test) verdict tables to write.
         default_protocol: Whose verdicts become `suc_f`, `suc_l`, `suc_a` and the metrics.
+        protocols: Settings of every protocol of `tests`, plain data by name.
         seed: Seed of the split.
         test_fraction: Share of objects in the split `test` [-].
         cloud_points: Points per object and cloud.
@@ -131,6 +133,7 @@ def write_release(
         "generator": {"name": "bidexdata", "version": header.version},
         "header": header.to_json(),
         "default_protocol": default_protocol,
+        "protocols": dict(protocols or {}),
         "tests": [list(key) for key in sorted(tests)],
         "configurations": list(CONFIGURATIONS),
         "splits": [[s, sum(1 for v in splits.values() if v == s)] for s in SPLITS],

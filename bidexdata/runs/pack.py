@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
+from bidexdata.config import differing_keys, to_plain
 from bidexdata.errors import NotUsable
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.run import Run, join_tasks
@@ -130,6 +131,7 @@ def pack_runs(
             runs=[run_info(r) for r in runs],
             tests=tests,
             default_protocol=protocol,
+            protocols=_protocols(runs, tests),
             seed=seed,
             form=cast("Any", form),
             on_object=lambda object_id: progress.advance(note=object_id),
@@ -242,6 +244,22 @@ def _objects(runs: Sequence[NamedRun]) -> dict[str, Run]:
                     f"in that of {known.path}; pack runs of equally prepared objects"
                 )
     return found
+
+
+def _protocols(runs: Sequence[NamedRun], tests: Sequence[Test]) -> dict[str, Any]:
+    """Settings of the protocols that the runs have verdicts of; one name, one protocol."""
+    found: dict[str, tuple[Path, Any]] = {}
+    for one in runs:
+        for name in {p for p, _ in one.run.verdict_tests()} & {p for p, _ in tests}:
+            mine = to_plain(one.run.protocol(name))
+            first, known = found.setdefault(name, (one.run.path, mine))
+            differing = differing_keys(known, mine)
+            if differing:
+                raise NotUsable(
+                    f"{one.run.path} and {first} have verdicts of different protocols called "
+                    f"{name!r} ({differing[0]}); validate one of them again under another name"
+                )
+    return {name: settings for name, (_, settings) in sorted(found.items())}
 
 
 def _refused_by_licence(objects: Mapping[str, Run], licences: Licences) -> list[str]:
