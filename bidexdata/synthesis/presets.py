@@ -52,6 +52,7 @@ _PAPER = (
     Change("placement.tilt", 0.0, "4.2: orientation aligned with the surface normal"),
     Change("placement.shift", 0.0, "4.2: the palm at the closest point"),
     Change("placement.flat", 0.005, "appendix B: flat when V < 0.005"),
+    Change("placement.repeats", "region", "4.2: initial poses are sampled within the regions"),
     Change("optimise.closure.groups", "decoupled", "4.3: Q of each hand alone"),
     Change("optimise.closure.disturbances", "forces", "3: six forces along +-x, +-y, +-z"),
     Change("optimise.closure.weight_decoupled", 1000.0, "6.1: w_QP"),
