@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -163,3 +164,11 @@ def test_no_attempt_of_a_preset_repeats_another(name):
     turns = np.concatenate([a.start.rotation.reshape(-1, 18) for a in (one, two)])
     assert len(rows) > 12
     assert len(np.unique(np.hstack([rows, turns]).astype(np.float32), axis=0)) == len(rows)
+
+
+def test_what_the_paper_leaves_open_says_where_its_value_comes_from():
+    sources = dict(PAPER_OPEN)
+    for key, source in sources.items():
+        assert re.search(r"measurements, \d|BODex|\bours\b", source), key
+    for weight in ("penetration", "self_penetration"):
+        assert sources[f"optimise.energy.{weight}"].startswith("no weight in the paper")
