@@ -41,7 +41,11 @@ class Kept(NamedTuple):
 
 
 _PAPER = (
-    Change("regions.score", "force", "4.2: s = min over t_j of max over k of t_j . w_k"),
+    Change(
+        "regions.score",
+        "force",
+        "4.2: s = min over t_j of max over k of t_j . w_k; the maximum exact, not TDG's estimate",
+    ),
     Change("regions.same_side", -2.0, "4.2: all points within the radius, either sheet"),
     Change("regions.wide", 10.0, "appendix B: pairs are dropped by the gap alone"),
     Change("regions.depth", 10.0, "appendix B: pairs are dropped by the gap alone"),
