@@ -65,7 +65,7 @@ _ALL = (
     # synthesis
     _f("region_id", "int16", "H", "", "", "synth", "grasps", "anchor number of the region each hand started at"),
     _f("region_score", "float32", "", "", "", "synth", "grasps", "score of the region pair, larger is better (meaning set by regions.score)"),
-    _f("energy_qp", "float32", "", "", "", "synth", "grasps", "closure energy Q, summed over contact groups, unweighted (paper eq. 4)"),
+    _f("energy_qp", "float32", "", "", "", "synth", "grasps", "closure energy Q, summed over contact groups, unweighted (paper, appendix A)"),
     _f("energy_distance", "float32", "", "m2", "", "synth", "grasps", "E_dis at the grasp, unweighted (paper, appendix B)"),
     _f("energy_region", "float32", "", "m", "", "synth", "grasps", "E_region at the grasp, unweighted (paper, appendix B)"),
     _f("energy_penetration", "float32", "", "m2", "", "synth", "grasps", "squared hand-object sphere depths at the grasp, unweighted"),

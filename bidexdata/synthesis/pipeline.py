@@ -77,7 +77,8 @@ def synthesize(
     if any(s.object_id != obj.object_id for s in scenes):
         raise ValueError(f"every scene must be one of {obj.object_id}")
     count = candidates or config.selection.candidates_per_grasp * grasps
-    attempts = [draw_attempts(obj, hands, s, config, seed, count) for s in scenes]
+    grown = first_attempt > 0
+    attempts = [draw_attempts(obj, hands, s, config, seed, count, grown=grown) for s in scenes]
     staged = _grasp(obj, hands, attempts, config, device)
     made = []
     for one, rows in zip(attempts, _rows_per_scene(attempts), strict=True):

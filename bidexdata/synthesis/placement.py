@@ -32,8 +32,10 @@ from bidexdata.synthesis.placement_shapes import (
 from bidexdata.synthesis.regions import RegionPairs
 from bidexdata.synthesis.regions_build import hull_depth
 
-# Numbers that one hand's start draws: roll, tilt angle, tilt direction, two shifts.
+# Numbers that one hand's start draws: roll, tilt angle, tilt direction, two shifts; and where
+# within its region it hangs, if that is drawn: which point, and how far towards it.
 _DRAWS = 5
+_PLACE_DRAWS = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,6 +52,11 @@ class PlacementConfig:
     between hands of measurements, 4."""
     over: Literal["contacts", "palm"] = "contacts"
     """What hangs over the hull point: the middle of the contact points, or the palm (paper)."""
+    repeats: Literal["centre", "region"] = "centre"
+    """Where a pair's attempts after its first start. `centre`: over the region's centre again, so
+    that roll, tilt and shift alone tell them apart. `region`: over a point drawn within the region
+    (paper 4.2: initial poses are sampled within the regions). Ours: the paper does not say how the
+    20 grasps of a world differ."""
     roll: float = pi
     """Largest turn about the palm normal from the preferred direction [rad]: pi is any roll
     (no effect on success; measurements, 2), 0 the paper's preferred direction."""
@@ -113,8 +120,10 @@ def place_palms(
     config: PlacementConfig,
     rng: np.random.Generator,
     count: int,
+    *,
+    grown: bool = False,
 ) -> Placement:
-    """Place both hands for attempts 0 .. count - 1, which take the region pairs in turn.
+    """Place both hands for `count` attempts, which take the region pairs in turn.
 
     An attempt's draws do not depend on how many attempts follow it.
 
@@ -126,13 +135,17 @@ def place_palms(
         config: Distances and spreads.
         rng: Draws `config.draws` variations of every attempt, used or not.
         count: M.
+        grown: Earlier attempts of the scene exist, so every pair may have had its first.
     """
-    pair_index = np.arange(count) % min(len(pairs.score), config.pairs)
-    lots = rng.random((count, config.draws, 2, _DRAWS))
-    centres = pairs.centres[pair_index]
-    depth, normal = hull_depth(obj, scene.size, centres.reshape(-1, 3))
-    normal = normal.reshape(count, 2, 3)
-    over = centres + depth.reshape(count, 2, 1) * normal
+    used = min(len(pairs.score), config.pairs)
+    pair_index = np.arange(count) % used
+    draws = _DRAWS + (_PLACE_DRAWS if config.repeats == "region" else 0)
+    lots = rng.random((count, config.draws, 2, draws))
+    first = (np.arange(count) < used) & (not grown)
+    places = _places(pairs, pair_index, first, lots[..., _DRAWS:])
+    depth, normal = hull_depth(obj, scene.size, places.reshape(-1, 3))
+    normal = normal.reshape(places.shape)
+    over = places + depth.reshape(*places.shape[:-1], 1) * normal
     flat = pairs.flatness[pair_index] < config.flat
     shapes = [start_shapes(hand, config.over) for hand in hands]
 
@@ -142,14 +155,15 @@ def place_palms(
     todo = np.arange(count)
     for draw in range(config.draws):
         spheres = [[], []]
+        place = min(draw, places.shape[1] - 1)
         for h in range(2):
             p, R, balls = _hang(
                 shapes[h],
                 flat[todo, h],
-                over[todo, h],
-                normal[todo, h],
+                over[todo, place, h],
+                normal[todo, place, h],
                 _preferred(scene, config, h),
-                _variation(lots[todo, draw, h], config, mirrored=h == 0),
+                _variation(lots[todo, draw, h, :_DRAWS], config, mirrored=h == 0),
                 config,
             )
             pos[todo, h], quat[todo, h] = p, frames.quat_from_matrix(R)
@@ -163,6 +177,30 @@ def place_palms(
             break
     world_pos, world_quat = _in_world(scene, pos, quat)
     return Placement(pair_index, world_pos, world_quat, _postures(hands, shapes, flat), ok)
+
+
+def _places(
+    pairs: RegionPairs,
+    pair_index: Int[np.ndarray, " M"],
+    first: Bool[np.ndarray, " M"],
+    lots: Float[np.ndarray, "M d 2 n"],
+) -> Float[np.ndarray, "M p 2 3"]:
+    """Points of the object that the hands hang over in each draw [m], one draw where all are alike.
+
+    Args:
+        pairs: Gives the regions.
+        pair_index: Region pair of each attempt.
+        first: Attempts that take the regions' centres.
+        lots: Which of a region's points, and how far from the centre to it; n = 0 where every
+            attempt takes the centres.
+    """
+    centre = pairs.centres[pair_index][:, None]
+    if lots.shape[-1] == 0:
+        return centre
+    which = (lots[..., 0] * pairs.points.shape[2]).astype(np.int64)
+    point = pairs.points[pair_index[:, None, None], np.arange(2), which]
+    drawn = centre + lots[..., 1:] * (point - centre)
+    return np.where(first[:, None, None, None], centre, drawn)
 
 
 class _Variation(NamedTuple):
