@@ -19,12 +19,14 @@ from numpy.typing import NDArray
 from bidexdata.errors import BadConfig, NotUsable
 from bidexdata.frames import matrix_from_quat, quat_angle
 from bidexdata.record import Status
+from bidexdata.record.status import TestStage
 from bidexdata.simulation.scene import SimScene
 from bidexdata.simulation.state import set_pose
 
-from .force_closure import DIRECTIONS, Verdict, overlaps_at_start
-from .protocols import Protocol
-from .stages import ControlPath, Execution, Grasp, closing_path
+from .lift import LEFT_BEHIND
+from .protocols import DIRECTIONS, LiftRules, Protocol
+from .stages import ControlPath, Execution, Grasp, Phase, closing_path
+from .verdict import Verdict, closing_failure, hold_cause, start_overlap
 from .warp_worlds import (
     CONTACTS,
     MOST_CONTACTS,
@@ -43,25 +45,6 @@ IDLE = -1
 """A world without a task."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LiftRules:
-    """How test l lifts an object off the table."""
-
-    height: float = 0.10
-    """Way of the hands' targets along +z [m]."""
-    changes: int = 50
-    """Equal steps of the targets; 50 steps of 0.10 m are 2 mm each."""
-    steps: int = 5
-    """Simulation steps after each; 50 x 5 x 4 ms = 1.0 s."""
-    hold: float = 3.0
-    """Time after the lift through which the object is judged [s]."""
-
-    def __post_init__(self) -> None:
-        for name in ("height", "changes", "steps", "hold"):
-            if not getattr(self, name) > 0:
-                raise BadConfig(f"lift.{name} must be positive, not {getattr(self, name)!r}")
-
-
 def warp_verdicts(
     scene: SimScene,
     protocol: Protocol,
@@ -70,7 +53,6 @@ def warp_verdicts(
     *,
     device: str = "cuda:0",
     execution: Execution | None = None,
-    lift: LiftRules | None = None,
     most_worlds: int = MOST_WORLDS,
 ) -> list[Verdict]:
     """Judge grasps of one object at one size.
@@ -86,7 +68,6 @@ def warp_verdicts(
         test: f or l.
         device: Warp device.
         execution: Early stops; on when omitted.
-        lift: How test l lifts.
         most_worlds: Bound of the worlds that step together; changes no verdict.
 
     Returns:
@@ -101,15 +82,17 @@ def warp_verdicts(
         raise NotUsable(f"MuJoCo Warp runs the tests f and l, not {test!r}")
     if most_worlds < 1:
         raise BadConfig(f"most_worlds must be at least 1, not {most_worlds!r}")
-    verdicts = [Verdict(Status.START_PENETRATION, -1, np.nan, np.nan, 0.0)] * len(grasps)
-    rows = [n for n, g in enumerate(grasps) if not overlaps_at_start(scene, protocol, g)]
+    _require_supported(protocol)
+    refused = [start_overlap(scene, protocol, g) for g in grasps]
+    rows = [n for n, verdict in enumerate(refused) if verdict is None]
+    verdicts = [verdict or Verdict(Status.NOT_RUN) for verdict in refused]
     if not rows:
         return verdicts
     judge = _Judge(
         scene,
         protocol,
         execution or Execution(),
-        (lift or LiftRules()) if test == "l" else None,
+        protocol.lift if test == "l" else None,
         device,
         most_worlds,
     )
@@ -143,6 +126,8 @@ class _Closed(NamedTuple):
     """Whether a hand was in contact with the object when the hands had closed, (N,)."""
     raised: NDArray[np.bool_]
     """Whether the simulation was sane until the hands began to rise, (N,)."""
+    lifted: NDArray[np.bool_]
+    """Whether the object had left the table when the hands were up; True in test f, (N,)."""
 
 
 class _Tasks(NamedTuple):
@@ -219,7 +204,11 @@ class _Judge:
             ways = [_lift_path(p, self.lift) for p in paths]
             self._follow(worlds, ways, self.lift.steps, broken)
         status[broken], moved[broken], turned[broken] = Status.UNSTABLE, np.nan, np.nan
-        return _Closed(worlds.read(every), status, moved, turned, touched, raised)
+        lifted = np.ones(count, bool)
+        if self.lift is not None:
+            height = worlds.motion(every)[0][:, self.scene.object_qpos + 2]
+            lifted = height - pos[:, 2] > LEFT_BEHIND * self.lift.height
+        return _Closed(worlds.read(every), status, moved, turned, touched, raised, lifted)
 
     def _follow(
         self, worlds: Worlds, paths: Sequence[ControlPath], steps: int, broken: NDArray[np.bool_]
@@ -344,6 +333,8 @@ class _Judge:
         angular = np.linalg.norm(qvel[:, at + 3 : at + 6], axis=1)
         return (
             (time > rule.rest_from - 1e-9)
+            & (linear < rule.rest_speed)
+            & (angular < rule.rest_turn)
             & (moved + reach * linear < rule.rest_share * self.protocol.limit_pos)
             & (turned + reach * angular < rule.rest_share * self.protocol.limit_rot)
         )
@@ -393,27 +384,53 @@ class _Judge:
         status = Status(int(closed.status[n]))
         moved, turned = float(closed.moved[n]), float(closed.turned[n])
         if status is Status.UNSTABLE:
-            time = self.protocol.closing_time
-            if self.lift is not None and closed.raised[n]:
-                time = self.lift.changes * self.lift.steps * self.protocol.scene.timestep
-            return Verdict(status, -1, np.nan, np.nan, time)
+            risen = self.lift is not None and bool(closed.raised[n])
+            if self.lift is None or not risen:
+                return closing_failure(self.protocol, status, np.nan, np.nan)
+            time = self.lift.changes * self.lift.steps * self.protocol.scene.timestep
+            return Verdict(status, TestStage.LIFT, time=time)
         if self.lift is None and status is not Status.OK:
-            return Verdict(Status.THROWN, -1, moved, turned, self.protocol.closing_time)
+            return closing_failure(self.protocol, status, moved, turned)
         if self.lift is not None:  # judged in the hold alone
             moved, turned = np.nan, np.nan
         for direction, load in enumerate(loads):
             moved = float(np.fmax(moved, held.moved[load]))
             turned = float(np.fmax(turned, held.turned[load]))
-            cause = Status(int(held.status[load]))
-            if cause is Status.OK:
+            if held.status[load] == Status.OK:
                 continue
-            if cause is not Status.UNSTABLE and not closed.touched[n]:
-                cause = Status.NO_CONTACT
-            elif cause is not Status.UNSTABLE and status is not Status.OK:
-                cause = Status.THROWN
+            time = float(held.time[load])
+            cause = hold_cause(
+                Phase(Status(int(held.status[load])), moved, turned, time),
+                touched=bool(closed.touched[n]),
+                thrown=status is not Status.OK,
+                lifted=bool(closed.lifted[n]),
+            )
             number = direction if self.lift is None else -1
-            return Verdict(cause, number, moved, turned, float(held.time[load]))
-        return Verdict(Status.OK, -1, moved, turned, np.nan)
+            return Verdict(cause, TestStage.HOLD, number, moved, turned, time)
+        return Verdict(Status.OK, drift_pos=moved, drift_rot=turned)
+
+
+def _require_supported(protocol: Protocol) -> None:
+    """Refuse what this back end does not do.
+
+    Raises:
+        NotUsable: The protocol wants one of these.
+    """
+    bench = {
+        "load": protocol.load != "gravity",
+        "directions": protocol.directions != DIRECTIONS,
+        "check_closing": not protocol.check_closing,
+        "reference": protocol.reference != "centre_of_mass",
+        "lift.hold": protocol.lift_checks == 0,
+        "scene.base": protocol.scene.base != "weld",
+        "metrics.table_is_hand": protocol.metrics.table_is_hand,
+    }
+    wanted = [key for key, other in bench.items() if other]
+    if wanted:
+        raise NotUsable(
+            f"the back end mujoco_warp runs protocols such as paper-1; {protocol.name!r} sets "
+            f"{wanted[0]} otherwise: use --backend mujoco"
+        )
 
 
 def _wanted(grasps: Sequence[Grasp]) -> tuple[FloatArray, FloatArray]:
