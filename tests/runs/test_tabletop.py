@@ -1,16 +1,20 @@
-"""Laws of the plan on a table: the first rest poses, and objects that have none are named."""
+"""Laws of tabletop runs: rest poses stand on z = 0, the first are used, who has none is named."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bidexdata.cli.main import run
 from bidexdata.errors import BadConfig, ConfigConflict
+from bidexdata.frames import matrix_from_quat
 from bidexdata.objects.library import Library
+from bidexdata.record import Status
 from bidexdata.runs.info import describe
+from bidexdata.runs.plan import scene_of
 from bidexdata.runs.run import Run
 from bidexdata.runs.synth import SynthRequest, start_run
 from bidexdata.synthesis.config import SynthConfig
@@ -18,10 +22,10 @@ from bidexdata.synthesis.config import SynthConfig
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A box with three pairs of rest poses, and a sphere none of whose poses is probable enough."""
+    """A box and a bracket, and a sphere none of whose rest poses is probable enough."""
     folder = tmp_path_factory.mktemp("tabletop") / "library"
     options = ["--set", "rest.min_probability=0.05", "--executor", "inline", "--quiet"]
-    assert run(["prepare", "shapes:box,sphere", "--out", str(folder), *options]) == 0
+    assert run(["prepare", "shapes:box,bracket,sphere", "--out", str(folder), *options]) == 0
     return folder
 
 
@@ -36,20 +40,20 @@ def planned(library: Path, out: Path, **options) -> Run:
 def test_the_most_probable_rest_poses_are_used_at_every_size(library, tmp_path, asked, used):
     made = planned(library, tmp_path / "run", rest_poses=asked)
     box = Library.open(library).object_ids[0]
-    ids = {s for t in made.tasks for s in t.scene_ids}
+    ids = {s for t in made.tasks_of(box) for s in t.scene_ids}
     assert ids == {f"{box}/{mm}/table{k}" for mm in (300, 500) for k in range(used)}
     assert made.spec.rest_poses == (asked or 1)
 
 
 def test_an_object_without_a_rest_pose_is_named_and_gives_no_scene(library, tmp_path):
     made = planned(library, tmp_path / "run")
-    box, sphere = Library.open(library).object_ids
-    assert made.object_ids == (box,)
+    box, bracket, sphere = Library.open(library).object_ids
+    assert made.object_ids == tuple(sorted((box, bracket)))
     assert made.spec.without_scene == (sphere,)
     assert describe(tmp_path / "run")["without_scene"] == [sphere]
     request = SynthRequest(config=SynthConfig(), hand="capsule", sizes_mm=(300,))
     floating = start_run(Library.open(library), tmp_path / "floating", request)
-    assert floating.object_ids == (box, sphere)
+    assert floating.object_ids == tuple(sorted((box, bracket, sphere)))
     assert floating.spec.without_scene == ()
 
 
@@ -77,3 +81,39 @@ def test_synth_says_so_and_ends_with_6_where_no_object_can_rest(tmp_path, capsys
         assert (data["tasks"], data["n"], len(data["without_scene"])) == (0, 0, 1)
     assert run(["info", str(tmp_path / "run")]) == 0
     assert "no scene: 1 object has no rest pose" in capsys.readouterr().out
+
+
+def test_in_every_rest_pose_the_lowest_point_is_on_the_table(library):
+    opened = Library.open(library)
+    seen = 0
+    for object_id in opened.object_ids:
+        solid = opened.load_solid(object_id)
+        assert np.all(np.diff(solid.rest_probabilities) <= 1e-9)
+        for k in range(len(solid.rest_heights)):
+            for mm in (300, 800):
+                scene = scene_of(f"{object_id}/{mm}/table{k}", solid)
+                R = matrix_from_quat(np.array(scene.object_quat_wxyz))
+                points = np.concatenate([p.vertices for p in solid.pieces]) * scene.size
+                world = points @ R.T + np.array(scene.object_pos)
+                assert abs(world[:, 2].min()) < 1e-4
+                assert scene.object_pos[:2] == (0.0, 0.0)
+                seen += 1
+    assert seen > 8
+
+
+def test_one_worker_and_two_give_the_same_bytes_on_a_table(library, tmp_path):
+    few = ("--hand", "capsule", "--sizes", "0.3", "--grasps", "2", "--candidates", "4", "--quiet")
+    fast = ("--set", "regions.anchors=60", "--set", "optimise.approach.steps=40")
+    made = {}
+    for workers in ("1", "2"):
+        out = tmp_path / workers
+        table = ("--setting", "tabletop", "--workers", workers)
+        assert run(["synth", str(library), "--out", str(out), *few, *fast, *table]) == 0
+        shards = sorted((out / "synth").rglob("*.arrow"))
+        made[workers] = {p.name: p.read_bytes() for p in shards}
+        for batch in Run.open(out).batches():
+            assert set(batch["setting"].tolist()) == {"tabletop"}
+            assert np.all(batch["synth_status"][batch["selected"]] == Status.OK)
+            assert np.all(batch["object_pos"][:, 2] > 0)
+    assert len(made["1"]) == 2
+    assert made["1"] == made["2"]
