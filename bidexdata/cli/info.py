@@ -9,7 +9,7 @@ import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.figures import figure_lines
-from bidexdata.cli.report import command, counts_text, finish
+from bidexdata.cli.report import command, counts_text, finish, no_scene_text
 
 
 def info(
@@ -25,8 +25,8 @@ def info(
     = selected / (N x scenes). Intervals are 95 %.
 
     --json keys: kind, path and, for a library: fingerprint, inputs, objects, hulls, by_status,
-    failures; a run: fingerprint, hand, preset, setting, sizes_mm, grasps, candidates, seed,
-    objects, tasks, done (per stage), figures, protocols; a release: name, version,
+    failures; a run: fingerprint, hand, preset, setting, rest_poses, without_scene (objects
+    that no scene could be made of), sizes_mm, grasps, candidates, seed, objects, tasks, done (per stage), figures, protocols; a release: name, version,
     schema_version, default_protocol, tests, splits, hands, figures.
     """
     from bidexdata.runs.info import describe
@@ -54,6 +54,8 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
         f"{data['setting']}, sizes {sizes or '-'} m, {asked}, seed {data['seed']}",
         f"fingerprint {data['fingerprint']}",
     ]
+    if data["without_scene"]:
+        lines.append(no_scene_text(data["without_scene"]))
     for stage, done in data["done"].items():
         lines.append(f"{stage}: {done} of {data['tasks']} tasks done")
     if not data["protocols"]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,12 @@ def counts_text(counts: Mapping[str, int]) -> str:
     """`12 ok, 3 no_placement`, largest first."""
     ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
     return ", ".join(f"{n} {label}" for label, n in ordered) or "none"
+
+
+def no_scene_text(object_ids: Sequence[str]) -> str:
+    """Say that objects have no rest pose, and name the first."""
+    rest = "objects have" if len(object_ids) > 1 else "object has"
+    return f"no scene: {len(object_ids)} {rest} no rest pose (first: {object_ids[0]})"
 
 
 def percent(rate: Mapping[str, Any] | None) -> str:

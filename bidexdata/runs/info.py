@@ -80,6 +80,8 @@ def describe_run(run: Run) -> dict[str, Any]:
         "hand": spec.hand,
         "preset": spec.preset,
         "setting": spec.setting,
+        "rest_poses": spec.rest_poses,
+        "without_scene": list(spec.without_scene),
         "sizes_mm": list(spec.sizes_mm),
         "grasps": spec.grasps,
         "candidates": spec.candidates,

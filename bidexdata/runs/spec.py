@@ -37,6 +37,10 @@ class RunSpec:
     hands: tuple[HandHeader, ...] = ()
     sizes_mm: tuple[int, ...] = ()
     setting: Setting = "floating"
+    rest_poses: int = 0
+    """Rest poses per object-size at most, the most probable first; 0 where objects float."""
+    without_scene: tuple[str, ...] = ()
+    """Objects that no scene could be made of: on a table, those without a rest pose."""
     source: str = ""
     """The library's (or, for kind `release`, the release's) path relative to the run."""
     source_fingerprint: str = ""
@@ -59,12 +63,14 @@ class RunSpec:
 
     def identity(self) -> dict[str, Any]:
         """What may never change in a run: everything but rounds, versions and paths."""
+        poses = {"rest_poses": self.rest_poses} if self.rest_poses else {}
         return {
             "kind": self.kind,
             "config": to_plain(self.config),
             "hands": {h.side: {"name": h.name, "spec_hash": h.spec_hash} for h in self.hands},
             "sizes_mm": list(self.sizes_mm),
             "setting": self.setting,
+            **poses,
             "library": {"fingerprint": self.source_fingerprint},
             "seed": self.seed,
         }

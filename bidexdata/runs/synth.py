@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 PAPER_SIZES_MM = tuple(range(300, 801, 50))
 """The paper's eleven sizes, 0.30 to 0.80 m (section 6)."""
 DEFAULT_GRASPS = 10
+DEFAULT_REST_POSES = 1
+"""Rest poses of each object-size: objects have up to 16, and sizes multiply them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +59,8 @@ class SynthRequest:
     hand: str = "shadow"
     sizes_mm: tuple[int, ...] = PAPER_SIZES_MM
     setting: Setting = "floating"
+    rest_poses: int | None = None
+    """Rest poses used of each object, the most probable first; None: 1 on a table."""
     grasps: int | None = None
     """Grasps kept per scene; None: what the run has, or 10."""
     candidates: int | None = None
@@ -70,6 +74,12 @@ class SynthRequest:
             raise BadConfig(f"--grasps {self.grasps}: give a number from 1 to 10000")
         if self.candidates is not None and self.candidates < (self.grasps or 1):
             raise BadConfig(f"--candidates {self.candidates}: give at least one per grasp kept")
+        if self.rest_poses is not None and self.setting == "floating":
+            raise BadConfig(
+                "--rest-poses belongs to --setting tabletop: a floating object has none"
+            )
+        if self.rest_poses is not None and self.rest_poses < 1:
+            raise BadConfig(f"--rest-poses {self.rest_poses}: give at least 1")
 
 
 def synth_library(
@@ -162,12 +172,30 @@ def _wanted(library: Library, out: Path, request: SynthRequest, old: RunSpec | N
         hands=tuple(h.header() for h in hands),
         sizes_mm=tuple(sorted(set(request.sizes_mm))),
         setting=request.setting,
+        rest_poses=_rest_poses(request),
+        without_scene=_without_scene(library, request),
         source=relative_to_run(library.path, out),
         source_fingerprint=library.fingerprint,
         seed=request.seed,
         rounds=(Round(grasps, candidates),),
         versions=package_versions(),
     )
+
+
+def _rest_poses(request: SynthRequest) -> int:
+    return 0 if request.setting == "floating" else request.rest_poses or DEFAULT_REST_POSES
+
+
+def _without_scene(library: Library, request: SynthRequest) -> tuple[str, ...]:
+    if request.setting == "floating":
+        return ()
+    poses = _poses_of(library)
+    return tuple(i for i in library.object_ids if not poses[i])
+
+
+def _poses_of(library: Library) -> dict[str, int]:
+    """Number of rest poses of each object."""
+    return {i: library.row(i)["rest_poses"] or 0 for i in library.object_ids}
 
 
 def _portable_hand(hand: str, out: Path) -> str:
@@ -185,9 +213,10 @@ def _write_missing_rounds(library: Library, out: Path, spec: RunSpec, *, fresh: 
     known = {t.round for t in planned}
     if known == set(range(len(spec.rounds))):
         return
-    poses = {r["object_id"]: r["rest_poses"] or 0 for r in library.index.to_pylist()}
+    poses = _poses_of(library)
     scenes = {
-        i: scene_ids_of(i, spec.sizes_mm, spec.setting, poses.get(i, 0)) for i in library.object_ids
+        i: scene_ids_of(i, spec.sizes_mm, spec.setting, min(poses[i], spec.rest_poses))
+        for i in library.object_ids
     }
     new = [t for t in plan_tasks(scenes, spec.rounds) if t.round not in known]
     write_plan(path, [*planned, *new])

@@ -18,6 +18,7 @@ from bidexdata.frames import matrix_from_quat, quat_conjugate, quat_multiply
 from bidexdata.record import Scene, Status
 from bidexdata.synthesis.placement import place_palms
 from bidexdata.synthesis.regions import select_region_pairs
+from bidexdata.synthesis.table import table_plane
 from bidexdata.synthesis.workspace import Start
 
 if TYPE_CHECKING:
@@ -102,14 +103,6 @@ def draw_attempts(
         region_score=pairs.score[pair],
         start=start,
     )
-
-
-def table_plane(scene: Scene) -> Float[np.ndarray, " 4"]:
-    """The table of a scene as seen from its object: normal . x + offset is the height over it."""
-    if scene.setting == "floating":
-        return np.zeros(4)
-    up = matrix_from_quat(np.array(scene.object_quat_wxyz))[2]
-    return np.append(up, scene.object_pos[2])
 
 
 def gather_starts(attempts: Sequence[Attempts]) -> Start:

@@ -2,8 +2,9 @@
 
 A hand hangs over the point of the hull that is nearest to its region, palm normal against the
 hull's, so far out that its lowest fingertip and all its spheres are clear of the hull. The object
-lies inside its hull, so no start touches it. Starts in which the hands meet each other or the table
-are drawn anew.
+lies inside its hull, so no start touches it. On a table, fingers point down rather than up, and a
+hand that would reach into the table is moved up along the hull, as far as it may. Starts in which
+the hands meet each other or the table are drawn anew.
 
 Source: BiDexGrasp 4.2 and appendix B; distances and spreads are ours (the paper gives none).
 """
@@ -26,11 +27,13 @@ from bidexdata.record.scene import Scene
 from bidexdata.synthesis.placement_shapes import (
     StartShape,
     hands_apart,
+    roll_from_down,
     start_shapes,
     tangent_frames,
 )
 from bidexdata.synthesis.regions import RegionPairs
 from bidexdata.synthesis.regions_build import hull_depth
+from bidexdata.synthesis.table import raise_hands, table_plane
 
 # Numbers that one hand's start draws: roll, tilt angle, tilt direction, two shifts; and where
 # within its region it hangs, if that is drawn: which point, and how far towards it.
@@ -60,6 +63,13 @@ class PlacementConfig:
     roll: float = pi
     """Largest turn about the palm normal from the preferred direction [rad]: pi is any roll
     (no effect on success; measurements, 2), 0 the paper's preferred direction."""
+    table_fingers: Literal["down", "preferred"] = "down"
+    """Where the fingers point on a table. `down`: within `table_roll` of straight down, so that the
+    arms come from above; a palm that faces down has any roll. `preferred`: as when floating."""
+    table_roll: float = pi / 2
+    """Largest turn from fingers down [rad]. Ours."""
+    table_raise: float = 0.06
+    """Farthest way along the hull that a hand is moved up to clear the table [m]. Ours."""
     left_direction: tuple[float, float, float] = (1.0, -1.0, -1.0)
     """Preferred direction of the left hand's fingers in the world. Paper, appendix B."""
     right_direction: tuple[float, float, float] = (1.0, 1.0, -1.0)
@@ -81,6 +91,8 @@ class PlacementConfig:
             "standoff": (0.0, 1.0),
             "clearance": (0.0, 1.0),
             "roll": (0.0, pi),
+            "table_roll": (0.0, pi),
+            "table_raise": (0.0, 1.0),
             "tilt": (0.0, pi / 4),
             "shift": (0.0, 1.0),
             "flat": (0.0, 2.0),
@@ -152,25 +164,37 @@ def place_palms(
     pos, quat = np.zeros((count, 2, 3)), np.zeros((count, 2, 4))
     spheres: list[list[np.ndarray]] = [[], []]
     ok = np.zeros(count, bool)
+    on_table, plane = scene.setting == "tabletop", table_plane(scene)
     todo = np.arange(count)
     for draw in range(config.draws):
         spheres = [[], []]
         place = min(draw, places.shape[1] - 1)
+        free = np.ones(len(todo), bool)
         for h in range(2):
+            direction = _preferred(scene, config, h)
+            drawn = _variation(lots[todo, draw, h, :_DRAWS], config, mirrored=h == 0)
+            if on_table and config.table_fingers == "down":
+                turn = drawn.share * config.table_roll
+                palms = (normal[todo, place, h], direction, -plane[:3])
+                drawn = drawn._replace(roll=roll_from_down(turn, drawn.roll, *palms))
             p, R, balls = _hang(
                 shapes[h],
                 flat[todo, h],
                 over[todo, place, h],
                 normal[todo, place, h],
-                _preferred(scene, config, h),
-                _variation(lots[todo, draw, h, :_DRAWS], config, mirrored=h == 0),
+                direction,
+                drawn,
                 config,
             )
+            radius = shapes[h][0].sphere_radius
+            if on_table:
+                clear = (config.clearance, config.table_raise)
+                raised = raise_hands(balls, radius, normal[todo, place, h], plane, *clear)
+                p, balls = p + raised.shift, balls + raised.shift[:, None]
+                free &= raised.ok
             pos[todo, h], quat[todo, h] = p, frames.quat_from_matrix(R)
-            spheres[h] = [balls, shapes[h][0].sphere_radius]
-        free = hands_apart(spheres[0], spheres[1], config.clearance)
-        if scene.setting == "tabletop":
-            free &= _above_table(scene, spheres, config.clearance)
+            spheres[h] = [balls, radius]
+        free &= hands_apart(spheres[0], spheres[1], config.clearance)
         ok[todo[free]] = True
         todo = todo[~free]
         if not len(todo):
@@ -206,6 +230,8 @@ def _places(
 class _Variation(NamedTuple):
     """What one start draws; in the palm frame."""
 
+    share: Float[np.ndarray, " n"]
+    """Of the largest roll, -1 to 1."""
     roll: Float[np.ndarray, " n"]
     """About the palm normal [rad]."""
     tilt: Float[np.ndarray, "n 3"]
@@ -225,7 +251,8 @@ def _variation(
         [side * angle * np.cos(heading), angle * np.sin(heading), np.zeros_like(angle)], axis=1
     )
     shift = config.shift * (2.0 * lots[:, 3:5] - 1.0) * np.array([1.0, side])
-    return _Variation(side * config.roll * (2.0 * lots[:, 0] - 1.0), tilt, shift)
+    share = 2.0 * lots[:, 0] - 1.0
+    return _Variation(side * share, side * config.roll * share, tilt, shift)
 
 
 def _hang(
@@ -277,18 +304,6 @@ def _preferred(scene: Scene, config: PlacementConfig, side: int) -> Float[np.nda
     world = np.array(config.left_direction if side == 0 else config.right_direction)
     to_object = frames.quat_conjugate(np.array(scene.object_quat_wxyz))
     return frames.quat_rotate(to_object, world / np.linalg.norm(world))
-
-
-def _above_table(
-    scene: Scene, spheres: list[list[np.ndarray]], clearance: float
-) -> Bool[np.ndarray, " n"]:
-    """Tell which starts keep all spheres above the table's plane z = 0 of the world."""
-    up = frames.matrix_from_quat(np.array(scene.object_quat_wxyz))[2]
-    clear = [
-        (balls @ up + scene.object_pos[2] - radius).min(axis=1) >= clearance
-        for balls, radius in spheres
-    ]
-    return clear[0] & clear[1]
 
 
 def _in_world(

@@ -200,9 +200,11 @@ def test_the_gradient_of_the_closure_follows_its_central_difference(body, hands)
     assert 0.9 < slope < 1.3
 
 
-def test_a_mirrored_start_gives_the_mirrored_result(body, hands):
+@pytest.mark.parametrize("table", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.03)])
+def test_a_mirrored_start_gives_the_mirrored_result(body, hands, table):
     mirror = np.diag([-1.0, 1, 1])
     start = facing_start(hands, 5)
+    start = replace(start, plane=np.tile(table, (5, 1)))
 
     def swapped(position, rotation):
         return position[:, ::-1] @ mirror, mirror @ rotation[:, ::-1] @ mirror

@@ -98,22 +98,6 @@ def test_accepted_hands_are_clear_of_each_other(hands, size_mm):
     assert np.array_equal(clear, placed.ok)
 
 
-def test_accepted_hands_are_above_the_table(hands):
-    height = 0.4 * float(BOX.rest_heights[0])
-    _, _, placed = start(
-        BOX, hands, 400, setting="tabletop", rest_pose=0, object_pos=(0.0, 0.0, height)
-    )
-    lowest = np.stack(
-        [
-            (points_of(hand, placed, h).sphere[..., 2] - hand.sphere_radius).min(axis=1)
-            for h, hand in enumerate(hands)
-        ]
-    ).min(axis=0)
-    assert placed.ok.any()
-    assert not placed.ok.all()
-    assert lowest[placed.ok].min() >= CONFIG.clearance - 1e-9
-
-
 def test_a_moved_object_moves_its_starts(hands):
     # Sides are by world y, roll by world directions: a shift changes nothing else.
     shift = (0.3, -0.2, 0.7)
