@@ -6,7 +6,7 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bidexdata.errors import NotUsable, PathNotFound
+from bidexdata.kinds import expect_kind
 from bidexdata.record import Status
 from bidexdata.runs.pack import count_tested, rows_of_object
 from bidexdata.runs.run import Run
@@ -20,27 +20,18 @@ def describe(path: str | Path) -> dict[str, Any]:
     """Describe a library, a run or a release as plain data (the keys of `info --json`).
 
     Raises:
-        PathNotFound: Nothing is there.
-        NotUsable: It is none of the three.
+        PathNotFound: There is none of the three.
         Contradiction: It is damaged.
     """
-    path = Path(path)
-    if not path.exists():
-        raise PathNotFound(path, "a library, a run or a release")
-    if (path / "manifest.json").exists():
-        from bidexdata.formats.release import Release
+    from bidexdata.formats.release import Release
+    from bidexdata.objects.library import Library
 
+    kind = expect_kind(path, "library", "run", "release")
+    if kind == "release":
         return describe_release(Release.open(path))
-    if (path / "run.json").exists():
+    if kind == "run":
         return describe_run(Run.open(path))
-    if (path / "index.parquet").exists() or (path / "objects").is_dir():
-        from bidexdata.objects.library import Library
-
-        return describe_library(Library.open(path))
-    raise NotUsable(
-        f"{path} is neither a library (index.parquet), a run (run.json) nor a release "
-        "(manifest.json)"
-    )
+    return describe_library(Library.open(path))
 
 
 def describe_library(library: Library) -> dict[str, Any]:

@@ -19,6 +19,7 @@ import numpy as np
 
 from bidexdata.config import fingerprint, to_plain
 from bidexdata.errors import ConfigConflict, Contradiction, NotUsable, PathNotFound
+from bidexdata.kinds import RUN_FILE, expect_kind
 from bidexdata.record import FIELDS, GraspBatch, Header
 from bidexdata.record.fields import columns_written_by
 from bidexdata.runs.plan import Task, read_plan
@@ -50,6 +51,7 @@ class Run:
             PathNotFound: There is no run at `path`.
             Contradiction: run.json is damaged or its schema is newer than this package.
         """
+        expect_kind(path, "run")
         return cls(Path(path), read_spec(Path(path)))
 
     @property
@@ -209,7 +211,7 @@ class Run:
         path = (self.path / self.spec.source).resolve()
         if not path.is_dir():
             wanted = "the release" if self.spec.kind == "release" else "the library"
-            raise PathNotFound(path, f"{wanted} that {self.path / 'run.json'} names")
+            raise PathNotFound(path, f"{wanted} that {self.path / RUN_FILE} names")
         return path
 
 

@@ -13,13 +13,13 @@ from typing import Any, Literal
 
 from bidexdata.config import differing_keys, fingerprint, from_plain, to_plain
 from bidexdata.errors import BidexError, ConfigConflict, Contradiction, PathNotFound
+from bidexdata.kinds import RUN_FILE
 from bidexdata.record import HandHeader
 from bidexdata.record.batch import SCHEMA_VERSION
 from bidexdata.record.scene import Setting
 from bidexdata.runs.plan import Round
 from bidexdata.runs.shards import write_text
 
-RUN_FILE = "run.json"
 _PACKAGES = ("mujoco", "numpy", "pyarrow", "warp-lang")
 
 

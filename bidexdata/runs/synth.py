@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from bidexdata.config import fingerprint, from_plain, to_plain
 from bidexdata.errors import BadConfig, NotUsable
+from bidexdata.kinds import kind_of
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.scene import Setting
 from bidexdata.runs.logs import log_to
@@ -29,7 +30,6 @@ from bidexdata.runs.plan import (
 from bidexdata.runs.run import PLAN_FILE, Run, open_unchanged, refuse_foreign
 from bidexdata.runs.shards import done_tasks, shard_path, sweep, write_shard
 from bidexdata.runs.spec import (
-    RUN_FILE,
     RunSpec,
     grown,
     package_versions,
@@ -127,7 +127,7 @@ def check_device(device: str) -> None:
 
 def start_run(library: Library, out: Path, request: SynthRequest) -> Run:
     """Create the run folder, or open it and let `--grasps` grow; write run.json and the plan."""
-    old = read_spec(out) if (out / RUN_FILE).exists() else None
+    old = read_spec(out) if kind_of(out) == "run" else None
     if old is None:
         refuse_foreign(out)
         sweep([out])
