@@ -117,17 +117,15 @@ class RunSource:
         return self.run.load_solid(object_id)
 
     def grasps(self, object_id: str) -> GraspBatch | None:
-        """Rows of the tasks that are done; those not yet validated say so in every row."""
+        """Rows of the tasks that are done by now; those not yet validated say so in every row."""
         from bidexdata.runs.run import join_tasks
 
-        made = self.run.done()
-        judged = self.run.done(self.protocol, self.test) if self.test else set()
         found = []
         for task in self.run.tasks_of(object_id):
-            if task.task_id not in made:
+            if not self.run.is_done(task):
                 continue
             batch = self.run.task_batch(task)
-            if task.task_id in judged:
+            if self.test and self.run.is_done(task, self.protocol, self.test):
                 verdicts = self.run.task_verdicts(task, batch, self.protocol, self.test)
             elif self.test:
                 verdicts = _no_verdicts(batch)

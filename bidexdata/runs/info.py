@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from bidexdata.kinds import expect_kind
 from bidexdata.record import Status
+from bidexdata.runs.finished import Finished
 from bidexdata.runs.pack import count_tested, rows_of_object
 from bidexdata.runs.run import Run
 
@@ -59,11 +60,12 @@ def describe_library(library: Library) -> dict[str, Any]:
 
 def describe_run(run: Run) -> dict[str, Any]:
     """Progress per stage, and figures per protocol over all finished rows."""
-    spec, tests = run.spec, run.verdict_tests()
-    stages = {run.stage_folder("rows").name: len(run.done())}
-    for protocol, test in tests:
-        stages[f"validate/{protocol}/{test}"] = len(run.done(protocol, test))
-    protocols = sorted({p for p, _ in tests}) or [""]
+    spec, finished = run.spec, Finished.of(run)
+    stages = {run.stage_folder("rows").name: len(finished.rows)}
+    for (protocol, test), tasks in finished.verdicts.items():
+        stages[f"validate/{protocol}/{test}"] = len(tasks)
+    protocols = sorted({p for p, _ in finished.tests}) or [""]
+    figures = {p: run_figures(run, finished, p) for p in protocols}
     return {
         "kind": "run",
         "path": str(run.path),
@@ -78,24 +80,24 @@ def describe_run(run: Run) -> dict[str, Any]:
         "objects": len(run.object_ids),
         "tasks": len(run.tasks),
         "done": stages,
-        "figures": run_figures(run, protocols[0]),
-        "protocols": {p: run_figures(run, p) for p in protocols if p},
+        "figures": figures[protocols[0]],
+        "protocols": {p: found for p, found in figures.items() if p},
     }
 
 
-def run_figures(run: Run, protocol: str) -> dict[str, Any]:
+def run_figures(run: Run, finished: Finished, protocol: str) -> dict[str, Any]:
     """Figures of a run's finished rows; rates where all rows of an object are tested.
 
     The definitions are those of `formats.figures`, the same as in a release.
     """
     from bidexdata.formats.figures import Tally
 
-    tests = tuple(t for p, t in run.verdict_tests() if p == protocol)
+    tests = tuple(t for p, t in finished.tests if p == protocol)
     tally = Tally(tests or ("f",))
     untested = 0
-    tested_rows, _ = count_tested(run, protocol)
+    tested_rows, _ = count_tested(run, finished, protocol)
     for object_id in run.object_ids:
-        rows = rows_of_object(run, object_id, "", [(protocol, t) for t in tests])
+        rows = rows_of_object(run, finished, object_id, "", [(protocol, t) for t in tests])
         if rows is None:
             continue
         untested += len(rows.verdicts) < len(tests)

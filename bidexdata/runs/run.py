@@ -126,13 +126,12 @@ class Run:
         return [(f.parent.name, f.name) for f in folders if done_tasks(f)]
 
     def done(self, protocol: str | None = None, test: str = "f") -> set[str]:
-        """Ids of the planned tasks whose rows (or verdicts) are there."""
-        folder = (
-            self.stage_folder("rows")
-            if protocol is None
-            else self.stage_folder("validate", protocol, test)
-        )
-        return done_tasks(folder) & {t.task_id for t in self.tasks}
+        """Ids of the planned tasks whose rows (or verdicts) are there; lists the whole folder."""
+        return done_tasks(self._folder(protocol, test)) & {t.task_id for t in self.tasks}
+
+    def is_done(self, task: Task, protocol: str | None = None, test: str = "f") -> bool:
+        """Tell whether the rows (or verdicts) of one task are there; looks at its file alone."""
+        return shard_path(self._folder(protocol, test), task.task_id).is_file()
 
     def task_batch(
         self, task: Task, protocol: str | None = None, test: str | None = None
@@ -199,6 +198,11 @@ class Run:
         for task in self.tasks:
             found.setdefault(task.object_id, []).append(task)
         return found
+
+    def _folder(self, protocol: str | None, test: str) -> Path:
+        if protocol is None:
+            return self.stage_folder("rows")
+        return self.stage_folder("validate", protocol, test)
 
     def _verdict_mark(self, protocol: str, test: str) -> str | None:
         from bidexdata.validation.protocols import load_protocol, protocol_names

@@ -14,7 +14,7 @@ import socket
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from bidexdata.errors import ConfigConflict, Contradiction, PathNotFound
 
@@ -25,6 +25,14 @@ _KEY = b"bidexdata_shard"
 _SUFFIX = ".arrow"
 STALE_AFTER = 24 * 3600.0
 """Age at which another machine's temporary file is taken for an orphan [s]."""
+
+
+class Mark(NamedTuple):
+    """What a shard says of itself."""
+
+    fingerprint: str
+    """Of the configuration that made it."""
+    rows: int
 
 
 def shard_path(stage_folder: Path, task_id: str) -> Path:
@@ -84,14 +92,14 @@ def read_shard(path: Path, fingerprint: str | None = None) -> pa.Table:
         # Not memory-mapped: a file changed under a map would change numbers or crash.
         table = ipc.open_file(pa.BufferReader(path.read_bytes())).read_all()
         table.validate(full=True)
-        mark = json.loads((table.schema.metadata or {})[_KEY])
-        made_by, rows = mark["fingerprint"], mark["rows"]
+        mark = _mark_of(table.schema)
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as err:
         raise _damaged(path, err) from err
-    if rows != table.num_rows:
-        raise Contradiction(f"{path}: damaged shard ({table.num_rows} of {rows} rows); delete it")
-    if fingerprint is not None and made_by != fingerprint:
-        raise ConfigConflict(path, [f"fingerprint: {made_by!r} -> {fingerprint!r}"])
+    if mark.rows != table.num_rows:
+        rows = f"{table.num_rows} of {mark.rows} rows"
+        raise Contradiction(f"{path}: damaged shard ({rows}); delete it")
+    if fingerprint is not None:
+        _compare(path, mark, fingerprint)
     return table
 
 
@@ -102,17 +110,33 @@ def check_mark(path: Path, fingerprint: str) -> None:
         ConfigConflict: Another one than `fingerprint` did.
         Contradiction: The file is damaged.
     """
+    _compare(path, read_mark(path), fingerprint)
+
+
+def read_mark(path: Path) -> Mark:
+    """Read what a shard says of itself, without its rows.
+
+    Raises:
+        Contradiction: The file is damaged.
+    """
     import pyarrow as pa
     from pyarrow import ipc
 
     try:
         with pa.OSFile(str(path), "rb") as source:
-            metadata = ipc.open_file(source).schema.metadata or {}
-        made_by = json.loads(metadata[_KEY])["fingerprint"]
+            return _mark_of(ipc.open_file(source).schema)
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as err:
         raise _damaged(path, err) from err
-    if made_by != fingerprint:
-        raise ConfigConflict(path, [f"fingerprint: {made_by!r} -> {fingerprint!r}"])
+
+
+def _mark_of(schema: pa.Schema) -> Mark:
+    data = json.loads((schema.metadata or {})[_KEY])
+    return Mark(data["fingerprint"], int(data["rows"]))
+
+
+def _compare(path: Path, mark: Mark, fingerprint: str) -> None:
+    if mark.fingerprint != fingerprint:
+        raise ConfigConflict(path, [f"fingerprint: {mark.fingerprint!r} -> {fingerprint!r}"])
 
 
 def _damaged(path: Path, err: Exception) -> Contradiction:
