@@ -11,6 +11,7 @@ from bidexdata.record import Status
 from bidexdata.runs.finished import Finished
 from bidexdata.runs.pack import count_tested, rows_of_object
 from bidexdata.runs.run import Run
+from bidexdata.runs.shards import read_mark, shard_path
 
 if TYPE_CHECKING:
     from bidexdata.formats.release import Release
@@ -80,9 +81,25 @@ def describe_run(run: Run) -> dict[str, Any]:
         "objects": len(run.object_ids),
         "tasks": len(run.tasks),
         "done": stages,
+        "made_with": made_with_of(run, finished),
         "figures": figures[protocols[0]],
         "protocols": {p: found for p, found in figures.items() if p},
     }
+
+
+def made_with_of(run: Run, finished: Finished) -> dict[str, list[dict[str, Any]]]:
+    """Devices and versions per stage, each with the number of tasks, the most used first."""
+    stages = {run.stage_folder("rows"): finished.rows}
+    for (protocol, test), tasks in finished.verdicts.items():
+        stages[run.stage_folder("validate", protocol, test)] = tasks
+    found = {}
+    for folder, tasks in stages.items():
+        marks = (read_mark(shard_path(folder, task_id)) for task_id in tasks)
+        kinds = Counter(tuple(sorted(mark.made_with.items())) for mark in marks)
+        ordered = sorted(kinds.items(), key=lambda kind: (-kind[1], kind[0]))
+        name = folder.relative_to(run.path).as_posix()
+        found[name] = [{"tasks": n, **dict(kind)} for kind, n in ordered]
+    return found
 
 
 def run_figures(run: Run, finished: Finished, protocol: str) -> dict[str, Any]:

@@ -13,10 +13,11 @@ from bidexdata.config import differing_keys, fingerprint
 from bidexdata.errors import ConfigConflict, NotUsable
 from bidexdata.kinds import MANIFEST, kind_of
 from bidexdata.record import FIELDS, GraspBatch
+from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.plan import Round, Task, write_plan
 from bidexdata.runs.run import PLAN_FILE, Run, refuse_foreign
 from bidexdata.runs.shards import shard_path, write_shard
-from bidexdata.runs.spec import RunSpec, package_versions, relative_to_run, write_spec
+from bidexdata.runs.spec import RunSpec, relative_to_run, write_spec
 
 if TYPE_CHECKING:
     from bidexdata.formats.release import Release

@@ -1,8 +1,9 @@
 """Shards: one Arrow file per task and stage; that it exists is the only mark of "done".
 
 A shard is written to a temporary name beside its place, synced, and renamed, so a reader or a
-resumed run never sees half of one. It carries the fingerprint of the configuration that made it.
-The same task gives the same bytes, so two machines that compute one twice do no harm.
+resumed run never sees half of one. It carries a mark: the fingerprint of the configuration, and
+the device and package versions that made it. The same task on the same kind of machine gives the
+same bytes, so computing one twice does no harm.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ import json
 import os
 import socket
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from bidexdata.errors import ConfigConflict, Contradiction, PathNotFound
+from bidexdata.runs.made_with import made_with
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -33,6 +35,8 @@ class Mark(NamedTuple):
     fingerprint: str
     """Of the configuration that made it."""
     rows: int
+    made_with: Mapping[str, str]
+    """Device and versions; information only, empty where an older version wrote the shard."""
 
 
 def shard_path(stage_folder: Path, task_id: str) -> Path:
@@ -45,19 +49,21 @@ def done_tasks(stage_folder: Path) -> set[str]:
     return {p.stem for p in stage_folder.glob(f"??/*{_SUFFIX}") if not p.name.startswith(".")}
 
 
-def write_shard(path: Path, table: pa.Table, fingerprint: str) -> None:
-    """Write a table as a shard, atomically.
+def write_shard(path: Path, table: pa.Table, fingerprint: str, *, device: str = "cpu") -> None:
+    """Write a table as a shard, atomically, with a mark of what made it.
 
     Args:
         path: From `shard_path`.
         table: Rows in their final order; may be empty.
         fingerprint: Of the configuration that made the rows.
+        device: The Warp device that they were made on.
     """
     import pyarrow as pa
     from pyarrow import ipc
 
-    mark = json.dumps({"fingerprint": fingerprint, "rows": table.num_rows}, sort_keys=True)
-    metadata = {**(table.schema.metadata or {}), _KEY: mark.encode()}
+    mark = Mark(fingerprint, table.num_rows, made_with(device))
+    text = json.dumps(mark._asdict(), sort_keys=True)
+    metadata = {**(table.schema.metadata or {}), _KEY: text.encode()}
     table = table.replace_schema_metadata(metadata).combine_chunks()
     options = ipc.IpcWriteOptions(compression="zstd")
 
@@ -131,7 +137,7 @@ def read_mark(path: Path) -> Mark:
 
 def _mark_of(schema: pa.Schema) -> Mark:
     data = json.loads((schema.metadata or {})[_KEY])
-    return Mark(data["fingerprint"], int(data["rows"]))
+    return Mark(data["fingerprint"], int(data["rows"]), dict(data.get("made_with", {})))
 
 
 def _compare(path: Path, mark: Mark, fingerprint: str) -> None:

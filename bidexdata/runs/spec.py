@@ -20,8 +20,6 @@ from bidexdata.record.scene import Setting
 from bidexdata.runs.plan import Round
 from bidexdata.runs.shards import write_text
 
-_PACKAGES = ("mujoco", "numpy", "pyarrow", "warp-lang")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunSpec:
@@ -44,7 +42,7 @@ class RunSpec:
     rounds: tuple[Round, ...] = ()
     """Empty for imported rows, which have no attempts."""
     versions: Mapping[str, str] = field(default_factory=dict)
-    """Of the packages that started the run; information only."""
+    """Of the packages that started the run; information only. Each shard says its own."""
     schema_version: str = SCHEMA_VERSION
 
     @property
@@ -154,18 +152,3 @@ def read_spec(folder: Path) -> RunSpec:
 def relative_to_run(path: Path, folder: Path) -> str:
     """Path as run.json stores it, so that library and run can move together."""
     return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
-
-
-def package_versions() -> dict[str, str]:
-    """Versions of the packages that decide results."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    from bidexdata import __version__
-
-    found = {"bidexdata": __version__}
-    for name in _PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found

@@ -17,6 +17,7 @@ from bidexdata.kinds import kind_of
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.scene import Setting
 from bidexdata.runs.logs import log_to
+from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.plan import (
     Round,
     Task,
@@ -29,14 +30,7 @@ from bidexdata.runs.plan import (
 )
 from bidexdata.runs.run import PLAN_FILE, Run, open_unchanged, refuse_foreign
 from bidexdata.runs.shards import done_tasks, shard_path, sweep, write_shard
-from bidexdata.runs.spec import (
-    RunSpec,
-    grown,
-    package_versions,
-    read_spec,
-    relative_to_run,
-    write_spec,
-)
+from bidexdata.runs.spec import RunSpec, grown, read_spec, relative_to_run, write_spec
 from bidexdata.runs.stage import Execution, StageReport, TaskSummary, run_stage
 
 if TYPE_CHECKING:
@@ -217,7 +211,7 @@ def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) ->
     )
     batch = with_run_header(batch, run)
     path = shard_path(run.stage_folder("rows"), task.task_id)
-    write_shard(path, batch.to_arrow(), run.fingerprint)
+    write_shard(path, batch.to_arrow(), run.fingerprint, device=device)
     counts: Counter[str] = Counter()
     for found in batch.header.counts.values():
         counts.update(found)

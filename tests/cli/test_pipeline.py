@@ -23,6 +23,7 @@ from bidexdata.cli.main import COMMANDS, run
 from bidexdata.record.fields import columns_written_by
 from bidexdata.runs.browse import open_browsable
 from bidexdata.runs.finished import Finished
+from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.pack import rows_of_object
 from bidexdata.runs.shards import done_tasks, read_shard, write_shard
 
@@ -213,6 +214,27 @@ def test_an_unknown_hand_gives_3_and_lists_the_known(
 def test_a_test_that_the_setting_does_not_allow_gives_3(whole: Path, capsys):
     assert run(["validate", str(whole), "--tests", "a"]) == 3
     assert "'a'" in capsys.readouterr().err
+
+
+def test_a_shard_made_on_another_device_is_told_apart_by_info(
+    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+):
+    folder = tmp_path / "mixed"
+    subprocess.run(["cp", "-r", whole, folder], check=True)
+    first, *others = sorted((folder / "synth").rglob("*.arrow"))
+    gpu = {"device": "cuda", "device_name": "a GPU", **package_versions()}
+    monkeypatch.setattr("bidexdata.runs.shards.made_with", lambda _device: gpu)
+    write_shard(first, read_shard(first), Run.open(folder).fingerprint, device="cuda:1")
+    capsys.readouterr()
+    assert run(["info", str(folder), "--json"]) == 0
+    made = json.loads(capsys.readouterr().out)["made_with"]
+    assert [(k["tasks"], k["device"]) for k in made["synth"]] == [(TASKS - 1, "cpu"), (1, "cuda")]
+    assert [(k["tasks"], k["device"]) for k in made["validate/paper-1/f"]] == [(TASKS, "cpu")]
+    assert all(k["mujoco"] == package_versions()["mujoco"] for k in made["synth"])
+    assert run(["info", str(folder)]) == 0
+    said = capsys.readouterr().out
+    assert f"  {len(others)} tasks on cpu (" in said
+    assert "  1 tasks on cuda (a GPU) with bidexdata" in said
 
 
 @pytest.mark.parametrize("command", ["info", "pack"])
