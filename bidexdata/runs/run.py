@@ -21,6 +21,7 @@ import numpy as np
 
 from bidexdata.config import fingerprint, to_plain
 from bidexdata.errors import BidexError, ConfigConflict, Contradiction, NotUsable, PathNotFound
+from bidexdata.kinds import RUN_FILE, expect_kind
 from bidexdata.record import FIELDS, GraspBatch, Header
 from bidexdata.record.fields import columns_written_by
 from bidexdata.runs.plan import Task, read_plan
@@ -53,6 +54,7 @@ class Run:
             PathNotFound: There is no run at `path`.
             Contradiction: run.json is damaged or its schema is newer than this package.
         """
+        expect_kind(path, "run")
         return cls(Path(path), read_spec(Path(path)))
 
     @property
@@ -127,13 +129,12 @@ class Run:
         return [(f.parent.name, f.name) for f in folders if done_tasks(f)]
 
     def done(self, protocol: str | None = None, test: str = "f") -> set[str]:
-        """Ids of the planned tasks whose rows (or verdicts) are there."""
-        folder = (
-            self.stage_folder("rows")
-            if protocol is None
-            else self.stage_folder("validate", protocol, test)
-        )
-        return done_tasks(folder) & {t.task_id for t in self.tasks}
+        """Ids of the planned tasks whose rows (or verdicts) are there; lists the whole folder."""
+        return done_tasks(self._folder(protocol, test)) & {t.task_id for t in self.tasks}
+
+    def is_done(self, task: Task, protocol: str | None = None, test: str = "f") -> bool:
+        """Tell whether the rows (or verdicts) of one task are there; looks at its file alone."""
+        return shard_path(self._folder(protocol, test), task.task_id).is_file()
 
     def task_batch(
         self, task: Task, protocol: str | None = None, test: str | None = None
@@ -220,6 +221,11 @@ class Run:
         except (ValueError, BidexError) as err:
             raise Contradiction(f"{path}: damaged protocol settings ({err})") from err
 
+    def _folder(self, protocol: str | None, test: str) -> Path:
+        if protocol is None:
+            return self.stage_folder("rows")
+        return self.stage_folder("validate", protocol, test)
+
     def _verdict_mark(self, protocol: str, test: str) -> str:
         return verdict_fingerprint(self, self.protocol(protocol), test)
 
@@ -227,7 +233,7 @@ class Run:
         path = (self.path / self.spec.source).resolve()
         if not path.is_dir():
             wanted = "the release" if self.spec.kind == "release" else "the library"
-            raise PathNotFound(path, f"{wanted} that {self.path / 'run.json'} names")
+            raise PathNotFound(path, f"{wanted} that {self.path / RUN_FILE} names")
         return path
 
 

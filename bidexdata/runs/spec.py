@@ -13,14 +13,12 @@ from typing import Any, Literal
 
 from bidexdata.config import differing_keys, fingerprint, from_plain, to_plain
 from bidexdata.errors import BidexError, ConfigConflict, Contradiction, PathNotFound
+from bidexdata.kinds import RUN_FILE
 from bidexdata.record import HandHeader
 from bidexdata.record.batch import SCHEMA_VERSION
 from bidexdata.record.scene import Setting
 from bidexdata.runs.plan import Round
 from bidexdata.runs.shards import write_text
-
-RUN_FILE = "run.json"
-_PACKAGES = ("mujoco", "numpy", "pyarrow", "warp-lang")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +46,7 @@ class RunSpec:
     rounds: tuple[Round, ...] = ()
     """Empty for imported rows, which have no attempts."""
     versions: Mapping[str, str] = field(default_factory=dict)
-    """Of the packages that started the run; information only."""
+    """Of the packages that started the run; information only. Each shard says its own."""
     schema_version: str = SCHEMA_VERSION
 
     @property
@@ -160,18 +158,3 @@ def read_spec(folder: Path) -> RunSpec:
 def relative_to_run(path: Path, folder: Path) -> str:
     """Path as run.json stores it, so that library and run can move together."""
     return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
-
-
-def package_versions() -> dict[str, str]:
-    """Versions of the packages that decide results."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    from bidexdata import __version__
-
-    found = {"bidexdata": __version__}
-    for name in _PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found

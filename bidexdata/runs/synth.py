@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING
 
 from bidexdata.config import fingerprint, from_plain, to_plain
 from bidexdata.errors import BadConfig, NotUsable
+from bidexdata.kinds import kind_of
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.scene import Setting
 from bidexdata.runs.logs import log_to
+from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.plan import (
     Round,
     Task,
@@ -28,15 +30,7 @@ from bidexdata.runs.plan import (
 )
 from bidexdata.runs.run import PLAN_FILE, Run, open_unchanged, refuse_foreign
 from bidexdata.runs.shards import done_tasks, shard_path, sweep, write_shard
-from bidexdata.runs.spec import (
-    RUN_FILE,
-    RunSpec,
-    grown,
-    package_versions,
-    read_spec,
-    relative_to_run,
-    write_spec,
-)
+from bidexdata.runs.spec import RunSpec, grown, read_spec, relative_to_run, write_spec
 from bidexdata.runs.stage import Execution, StageReport, TaskSummary, run_stage
 
 if TYPE_CHECKING:
@@ -137,7 +131,7 @@ def check_device(device: str) -> None:
 
 def start_run(library: Library, out: Path, request: SynthRequest) -> Run:
     """Create the run folder, or open it and let `--grasps` grow; write run.json and the plan."""
-    old = read_spec(out) if (out / RUN_FILE).exists() else None
+    old = read_spec(out) if kind_of(out) == "run" else None
     if old is None:
         refuse_foreign(out)
         sweep([out])
@@ -246,7 +240,7 @@ def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) ->
     )
     batch = with_run_header(batch, run)
     path = shard_path(run.stage_folder("rows"), task.task_id)
-    write_shard(path, batch.to_arrow(), run.fingerprint)
+    write_shard(path, batch.to_arrow(), run.fingerprint, device=device)
     counts: Counter[str] = Counter()
     for found in batch.header.counts.values():
         counts.update(found)

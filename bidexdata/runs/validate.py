@@ -28,6 +28,7 @@ from bidexdata.runs.run import (
 from bidexdata.runs.shards import (
     check_mark,
     done_tasks,
+    read_mark,
     shard_path,
     sweep,
     write_shard,
@@ -144,10 +145,11 @@ def _run_test(
 
 def _extras_of(path: Path, mark: str) -> set[Extra]:
     try:
-        return set(check_mark(path, mark).get("extras", ()))
+        check_mark(path, mark)
     except ConfigConflict as err:
         changed = f"the run, or settings of protocol {path.parents[2].name!r}, that the shard is of"
         raise ConfigConflict(path, [changed]) from err
+    return set(read_mark(path).notes.get("extras", ()))
 
 
 def _validate_task(
@@ -174,7 +176,7 @@ def _validate_task(
     verdicts = verdict_batch(batch.header, batch["grasp_id"], columns)
     path = shard_path(run.stage_folder("validate", protocol.name, test), task.task_id)
     notes = {"extras": list(extras), "execution": to_plain(how)}
-    write_shard(path, verdicts.to_arrow(), verdict_fingerprint(run, protocol, test), notes)
+    write_shard(path, verdicts.to_arrow(), verdict_fingerprint(run, protocol, test), notes=notes)
     labels = [Status(int(s)).label for s in columns["verdict_status"]]
     seconds = time.monotonic() - start
     logging.getLogger(__name__).info(
