@@ -26,11 +26,20 @@ Shard = Annotated[
 Seed = Annotated[int, typer.Option(min=0, help="Seed of every random draw.")]
 ConfigFile = Annotated[
     Path | None,
-    typer.Option("--config", metavar="FILE", help="YAML file with changes to the configuration."),
+    typer.Option(
+        "--config",
+        metavar="FILE",
+        help="YAML file with changes to the configuration, nested as `bidexdata presets NAME` shows.",
+    ),
 ]
 Assignments = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change one key of it; may be repeated."),
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change one key of it; may be repeated. The keys: `bidexdata presets default` for "
+        "synth, `bidexdata presets prepare` for prepare.",
+    ),
 ]
 Json = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on standard output, nothing else.")
