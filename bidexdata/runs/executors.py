@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
 
-from bidexdata.errors import MissingExtra, NotUsable, UnknownName
+from bidexdata.errors import BadValue, MissingExtra, UnknownName
 from bidexdata.runs.boundary import Raised, call_task, describe
 from bidexdata.runs.workers import THREAD_VARIABLES, WorkerPool, usable_cores
 
@@ -58,18 +58,29 @@ def run_tasks(
 
     Raises:
         UnknownName: No executor is called so.
+        BadValue: A negative number of workers.
         NotUsable: Workers cannot start at all.
     """
-    if executor not in EXECUTORS:
-        raise UnknownName("executor", executor, EXECUTORS)
-    if workers < 0:
-        raise NotUsable(f"--workers {workers}: give 0 (one per core) or a positive number")
+    check_executor(executor, workers)
     if executor == "inline":
         return _run_inline(tasks, work)
     count = min(workers or usable_cores(), max(len(tasks), 1))
     if executor == "ray":
         return _run_ray(tasks, work, count if workers else 0)
     return _run_processes(tasks, work, count, timeout)
+
+
+def check_executor(executor: str, workers: int) -> None:
+    """Refuse an executor that does not exist, or a negative number of workers.
+
+    Raises:
+        UnknownName: No executor is called so.
+        BadValue: The number is negative.
+    """
+    if executor not in EXECUTORS:
+        raise UnknownName("executor", executor, EXECUTORS)
+    if workers < 0:
+        raise BadValue(f"--workers {workers}: give 0 (one per core) or a positive number")
 
 
 def _run_inline(tasks: Sequence[T], work: Callable[[T], R]) -> Iterator[tuple[T, R | TaskFailure]]:

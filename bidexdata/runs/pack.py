@@ -97,10 +97,13 @@ def pack_runs(
         quiet: No progress.
 
     Raises:
-        NotUsable: Nothing to pack, runs that do not fit together, or a bad name or target.
+        BadValue: The name or version cannot be used.
+        NotUsable: Nothing to pack, runs that do not fit together, or a bad form or target.
     """
     from bidexdata.formats.release import write_release
+    from bidexdata.formats.writer import check_names
 
+    check_names(Path(out), name, version, form)  # before anything is read
     runs = _named([Run.open(p) for p in paths])
     _check_hands(runs)
     objects = _objects(runs)

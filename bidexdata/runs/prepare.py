@@ -29,7 +29,7 @@ from bidexdata.objects.prepare import prepare_object
 from bidexdata.objects.sources import SourceItem, resolve_sources
 from bidexdata.objects.storage import read_document, write_object
 from bidexdata.record.status import Status
-from bidexdata.runs.executors import TaskFailure, run_tasks
+from bidexdata.runs.executors import TaskFailure, check_executor, run_tasks
 from bidexdata.runs.progress import Progress
 
 Row = dict[str, Any]
@@ -116,6 +116,7 @@ def prepare_library(
         PathNotFound: A source does not exist.
         ConfigConflict: The folder holds objects that were made with another configuration.
     """
+    check_executor(executor, workers)
     config = config or PrepareConfig()
     start = time.monotonic()
     items = resolve_sources(sources)[: None if limit is None else max(limit, 0)]

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from bidexdata.errors import BadConfig, NotUsable
+from bidexdata.devices import check_device
+from bidexdata.errors import BadConfig, BadValue, NotUsable
 from bidexdata.record import GraspBatch
 from bidexdata.runs.browse import Browsable, open_browsable, verdicts_of
 from bidexdata.runs.progress import Progress
@@ -100,12 +101,15 @@ def render(
         quiet: No progress bar.
 
     Raises:
-        NotUsable: Nothing matches, there are no verdicts to choose by, or pillow is missing.
+        NotUsable: Nothing matches, there are no verdicts to choose by, there is no such device,
+            or pillow is missing.
         MissingExtra: An `.mp4` without the package that writes it.
-        BadConfig: The file's ending is none of these, or `count` is not positive.
+        BadConfig: The file's ending is none of these.
+        BadValue: `count` is not positive.
         PathNotFound: `path` does not exist.
     """
     started = perf_counter()
+    check_device(device)
     source, out = open_browsable(path), Path(out)
     _check(out, source, only=only, count=count, video=video)
     title = _title(source, only)
@@ -258,7 +262,7 @@ def _check(out: Path, source: Browsable, *, only: Only | None, count: int, video
 
         require_encoder()  # before minutes of drawing
     if count < 1:
-        raise BadConfig(f"--count must be at least 1, not {count}")
+        raise BadValue(f"--count must be at least 1, not {count}")
     if source.kind == "library" and (only or video):
         raise BadConfig(f"{source.path} is a library: it has objects but no grasps to choose from")
     if only and not source.test:

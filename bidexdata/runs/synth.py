@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bidexdata.config import fingerprint, from_plain, to_plain
-from bidexdata.errors import BadConfig, NotUsable
+from bidexdata.devices import check_device
+from bidexdata.errors import BadValue, NotUsable
 from bidexdata.kinds import kind_of
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.scene import Setting
@@ -63,17 +64,17 @@ class SynthRequest:
 
     def __post_init__(self) -> None:
         if not self.sizes_mm or any(not 10 <= mm <= 5000 for mm in self.sizes_mm):
-            raise BadConfig("--sizes: give sizes in metres between 0.01 and 5, such as 0.3,0.5")
+            raise BadValue("--sizes: give sizes in metres between 0.01 and 5, such as 0.3,0.5")
         if self.grasps is not None and not 1 <= self.grasps <= 10_000:
-            raise BadConfig(f"--grasps {self.grasps}: give a number from 1 to 10000")
+            raise BadValue(f"--grasps {self.grasps}: give a number from 1 to 10000")
         if self.candidates is not None and self.candidates < (self.grasps or 1):
-            raise BadConfig(f"--candidates {self.candidates}: give at least one per grasp kept")
+            raise BadValue(f"--candidates {self.candidates}: give at least one per grasp kept")
         if self.rest_poses is not None and self.setting == "floating":
             raise BadConfig(
                 "--rest-poses belongs to --setting tabletop: a floating object has none"
             )
         if self.rest_poses is not None and self.rest_poses < 1:
-            raise BadConfig(f"--rest-poses {self.rest_poses}: give at least 1")
+            raise BadValue(f"--rest-poses {self.rest_poses}: give at least 1")
 
 
 def synth_library(
@@ -108,25 +109,6 @@ def synth_library(
         logs=run.path / "logs",
         execution=execution,
     )
-
-
-def check_device(device: str) -> None:
-    """Refuse a device that this machine does not have.
-
-    Raises:
-        NotUsable: Names the devices that there are.
-    """
-    if device == "cpu":
-        return
-    from bidexdata.devices import start_warp
-
-    start_warp()
-    import warp as wp
-
-    names = [d.alias for d in wp.get_devices()]
-    if device not in names and not (device == "cuda" and len(names) > 1):
-        known = ", ".join(names)
-        raise NotUsable(f"no device is called {device!r} here; this machine has: {known}")
 
 
 def start_run(library: Library, out: Path, request: SynthRequest) -> Run:

@@ -173,6 +173,12 @@ def describe_preset(name: str) -> Preset:
     return _PRESETS[name]
 
 
+def source_of(key: str) -> str:
+    """Say where the default of a key is from; empty where only the field's own text does."""
+    kept = (k for k in (*PAPER_GIVEN, *PAPER_OPEN) if key == k.key or key.startswith(f"{k.key}."))
+    return next((k.source for k in kept), "")
+
+
 def load_preset(name: str) -> SynthConfig:
     """Build the configuration of a preset.
 

@@ -211,6 +211,15 @@ def test_an_unknown_hand_gives_3_and_lists_the_known(
     assert not out.exists()
 
 
+def test_a_file_that_is_no_hand_gives_3_and_is_named(library: Path, tmp_path: Path, capsys):
+    (tmp_path / "list.yaml").write_text("- 1")
+    out = tmp_path / "run"
+    hand = str(tmp_path / "list.yaml")
+    assert run(["synth", str(library), "--out", str(out), "--hand", hand]) == 3
+    assert "list.yaml" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_a_test_that_the_setting_does_not_allow_gives_3(whole: Path, capsys):
     assert run(["validate", str(whole), "--tests", "a"]) == 3
     assert "'a'" in capsys.readouterr().err

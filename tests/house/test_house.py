@@ -28,7 +28,12 @@ FLOORS = [
     {"viewer"},
     {"cli"},
 ]
-SAME_FLOOR = {("config", "errors"), ("kinds", "errors"), ("loaders", "formats")}
+SAME_FLOOR = {
+    ("config", "errors"),
+    ("devices", "errors"),
+    ("kinds", "errors"),
+    ("loaders", "formats"),
+}
 FLOOR_OF = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 
 
