@@ -33,6 +33,13 @@ def validate(
     analytic: Annotated[
         bool, typer.Option("--analytic", help="Compute Q1 and the QP certificate too.")
     ] = False,
+    replay: Annotated[
+        str | None,
+        typer.Option(metavar="GRASP_ID", help="Test one grasp of a run again and look on."),
+    ] = None,
+    video: Annotated[
+        Path | None, typer.Option(metavar="FILE.mp4", help="With --replay: film it.")
+    ] = None,
     workers: options.Workers = 0,
     executor: options.ExecutorName = "processes",
     shard: options.Shard = None,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from bidexdata.config import fingerprint, from_plain, to_plain
 from bidexdata.devices import check_device
-from bidexdata.errors import BadValue, NotUsable
+from bidexdata.errors import BadConfig, BadValue, NotUsable
 from bidexdata.kinds import kind_of
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.scene import Setting
