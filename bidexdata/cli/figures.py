@@ -8,10 +8,18 @@ from typing import Any
 from bidexdata.cli.report import counts_text, millimetres, percent, share, table
 
 
+KEPT_MEANS = "kept = selected grasps / grasps wanted"
+LEGEND = (
+    f"{KEPT_MEANS}; selected = passed / kept grasps; unselected = passed / attempts drawn before "
+    "any filter; PD, SPD = deepest overlap hand-object, within and between hands; "
+    "CDC = range of finger-object distances"
+)
+
+
 def figure_lines(
     figures: Mapping[str, Any], protocol: str = "", untested: str = "not validated yet"
 ) -> list[str]:
-    """Counts, rates over everything, then one line per size.
+    """Counts, rates over everything, one line per size, and what the words mean.
 
     Args:
         figures: From `formats.figures`.
@@ -39,7 +47,7 @@ def figure_lines(
         )
     else:
         lines.append(f"kept {share(figures['kept'])} of the wanted grasps; {untested}")
-    return lines + _by_size(figures, list(tested))
+    return [*lines, *_by_size(figures, list(tested)), LEGEND if tested else KEPT_MEANS]
 
 
 def _by_size(figures: Mapping[str, Any], tests: list[str]) -> list[str]:

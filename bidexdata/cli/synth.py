@@ -8,7 +8,14 @@ from typing import Annotated, Any
 import typer
 
 from bidexdata.cli import options
-from bidexdata.cli.report import command, counts_text, finish, no_scene_text, warn
+from bidexdata.cli.report import (
+    command,
+    counts_text,
+    finish,
+    no_scene_text,
+    refuse_nothing,
+    warn_of_failed,
+)
 
 PAPER_SIZES = "0.3,0.35,0.4,0.45,0.5,0.55,0.6,0.65,0.7,0.75,0.8"
 
@@ -58,7 +65,7 @@ def synth(
     selected, by_status, seconds. tasks_failed, n, selected, by_status and seconds count this call
     only; `info` gives the whole run.
     """
-    from bidexdata.errors import NothingSucceeded, NotUsable
+    from bidexdata.errors import NotUsable
     from bidexdata.runs.run import Run
     from bidexdata.runs.synth import SynthRequest, synth_library
     from bidexdata.synthesis.presets import load_preset
@@ -79,25 +86,20 @@ def synth(
         seed=seed,
     )
     report = synth_library(library, out, request, execution=execution, device=device)
-    failed = len(report.failures)
     run = Run.open(out)
     data: dict[str, Any] = {
         "run": str(out),
         "fingerprint": run.fingerprint,
         "tasks": report.tasks,
         "tasks_before": report.before,
-        "tasks_failed": failed,
+        "tasks_failed": len(report.failures),
         "without_scene": list(run.spec.without_scene),
         "n": report.rows,
         "selected": report.good,
         "by_status": report.by_status,
         "seconds": round(report.seconds, 3),
     }
-    if failed:
-        warn(
-            f"{failed} of {report.tasks} tasks failed (first: {report.failures[0].reason}); "
-            f"{out}/logs has the details, and the same command tries them again"
-        )
+    warn_of_failed(report, out)
     left_out = run.spec.without_scene
     done = report.before + report.finished
     finish(
@@ -112,7 +114,6 @@ def synth(
         as_json=as_json,
         quiet=quiet,
     )
-    # Rows of earlier calls count too: the exit code must not depend on how often one asks.
-    asked = report.tasks or not run.tasks  # this machine's part of the plan may be empty
-    if asked and not report.good and not any(b.selected.any() for b in run.batches()):
-        raise NothingSucceeded(f"{out}: not one grasp was made; `bidexdata info {out}` says why")
+    if report.tasks or not run.tasks:  # this machine's part of the plan may be empty
+        nothing = f"{out}: not one grasp was made; `{command('info', out)}` says why"
+        refuse_nothing(report.good, run.batches(), "selected", nothing)

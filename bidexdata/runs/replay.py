@@ -116,9 +116,7 @@ def _check_video(path: Path) -> None:
     require_encoder()
 
 
-def _row(
-    run: Run, grasp_id: str, protocol: str, test: str
-) -> tuple[GraspBatch, str | None]:
+def _row(run: Run, grasp_id: str, protocol: str, test: str) -> tuple[GraspBatch, str | None]:
     done, judged = run.done(), run.done(protocol, test)
     for task in run.tasks:
         if task.task_id not in done:
@@ -176,7 +174,7 @@ def _draw(
     passed = verdict.status is Status.OK
     outcome = f"passes test {test}" if passed else f"fails test {test}: {verdict.status.sentence}"
 
-    def frames():  # noqa: ANN202  (a generator of pictures)
+    def frames():
         for moment in moments:
             last = moment is moments[-1]
             words = f"{moment.time:5.2f} s  {moment.phase}"

@@ -76,7 +76,9 @@ def validate_grasps(
     for size_mm in np.unique(batch.size_mm[runnable]):
         rows = np.flatnonzero(runnable & (batch.size_mm == size_mm))
         try:
-            scene = scene_of_rows(batch.select(batch.size_mm == size_mm), solid, hands, protocol, test)
+            scene = scene_of_rows(
+                batch.select(batch.size_mm == size_mm), solid, hands, protocol, test
+            )
         except SceneNotBuilt:
             columns["verdict_status"][rows] = Status.NO_SCENE
             continue

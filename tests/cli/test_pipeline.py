@@ -391,9 +391,16 @@ def test_info_says_what_it_is_and_json_has_the_documented_keys(
     path = request.getfixturevalue(kind)
     capsys.readouterr()
     assert run(["info", str(path)]) == 0
-    assert ("run" if kind == "whole" else kind) in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert ("run" if kind == "whole" else kind) in said
+    legend = [line for line in said.splitlines() if line.startswith("kept = ")]
+    assert len(legend) == (kind != "library")
+    for word in ("kept", "selected", "unselected", "PD", "SPD", "CDC"):
+        assert kind == "library" or re.search(rf"\b{word}\b.* = ", legend[0])
     assert run(["info", str(path), "--json"]) == 0
-    data = json.loads(capsys.readouterr().out)
+    out = capsys.readouterr().out
+    assert "kept = " not in out
+    data = json.loads(out)
     documented = set(re.findall(r"\w+", COMMANDS["info"].__doc__ or ""))
     assert set(data) <= documented
     if kind != "library":
