@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.errors import BadConfig, NotUsable
-from bidexdata.frames import matrix_from_quat, quat_angle
+from bidexdata.frames import matrix_from_quat
 from bidexdata.record import Status
 from bidexdata.record.status import TestStage
 from bidexdata.simulation.scene import SimScene
@@ -26,7 +26,8 @@ from bidexdata.simulation.state import set_pose
 from .lift import LEFT_BEHIND
 from .protocols import DIRECTIONS, LiftRules, Protocol
 from .stages import ControlPath, Execution, Grasp, Phase, closing_path
-from .verdict import Verdict, closing_failure, hold_cause, start_overlap
+from .verdict import UNSTABLE, Verdict, closing_failure, hold_cause, start_overlap
+from .warp_checks import Statuses, advance, check_worlds, instability, rests
 from .warp_worlds import (
     CONTACTS,
     MOST_CONTACTS,
@@ -41,6 +42,10 @@ _log = logging.getLogger(__name__)
 
 MOST_WORLDS = 8192
 """Worlds that step together; about 1 MB of device memory each."""
+FEW = 4
+"""When no more than one in so many worlds is busy, the busy ones go on among themselves."""
+SMALL = 32
+"""Fewer worlds than this stay together: making new ones takes about a second."""
 IDLE = -1
 """A world without a task."""
 
@@ -57,8 +62,8 @@ def warp_verdicts(
 ) -> list[Verdict]:
     """Judge grasps of one object at one size.
 
-    On Warp's CPU device the same grasps give the same bits, in any order and company. On a GPU
-    contacts are listed in an order that varies, so the last digits do too.
+    On Warp's CPU device the same batch gives the same bits twice; another order or number of worlds
+    changes the last digits of float32. On a GPU these vary from run to run.
 
     Args:
         scene: Its compiled model is simulated, its state serves the start check; with a table for
@@ -116,8 +121,8 @@ class _Closed(NamedTuple):
     """N grasps whose hands have closed, and in test l have gone up."""
 
     state: WorldState
-    status: NDArray[np.int8]
-    """OK, SLIP or TURNED when the hands had closed; UNSTABLE if ever before the hold."""
+    status: Statuses
+    """OK, SLIP or TURNED when the hands had closed; UNSTABLE or BLOWN_UP if ever before the hold."""
     moved: FloatArray
     """Displacement when the hands had closed [m], (N,)."""
     turned: FloatArray
@@ -148,7 +153,7 @@ class _Tasks(NamedTuple):
 class _Held(NamedTuple):
     """How T loads ended; NOT_RUN where an earlier load had failed."""
 
-    status: NDArray[np.int8]
+    status: Statuses
     moved: FloatArray
     """Largest displacement at a check [m], (T,)."""
     turned: FloatArray
@@ -192,18 +197,17 @@ class _Judge:
         start = self._start(grasps)
         worlds = Worlds(self.scene, self._calm(start), count, contacts, self.device)
         worlds.write(every, start)
-        broken = np.zeros(count, bool)
+        broken = np.full(count, Status.OK, np.int8)
         paths = [closing_path(self.scene, protocol, g) for g in grasps]
         self._follow(worlds, paths, protocol.segment_steps, broken)
         pos, quat = _wanted(grasps)
-        status, moved, turned = self._check(*worlds.motion(every), pos, quat)
-        status[broken], touched = Status.UNSTABLE, worlds.touching()
-        broken |= status == Status.UNSTABLE
-        raised = ~broken
+        status, moved, turned = check_worlds(self.scene, protocol, *worlds.motion(every), pos, quat)
+        touched, raised = worlds.touching(), broken == Status.OK
         if self.lift is not None:
             ways = [_lift_path(p, self.lift) for p in paths]
             self._follow(worlds, ways, self.lift.steps, broken)
-        status[broken], moved[broken], turned[broken] = Status.UNSTABLE, np.nan, np.nan
+        bad = broken != Status.OK
+        status[bad], moved[bad], turned[bad] = broken[bad], np.nan, np.nan
         lifted = np.ones(count, bool)
         if self.lift is not None:
             height = worlds.motion(every)[0][:, self.scene.object_qpos + 2]
@@ -211,15 +215,16 @@ class _Judge:
         return _Closed(worlds.read(every), status, moved, turned, touched, raised, lifted)
 
     def _follow(
-        self, worlds: Worlds, paths: Sequence[ControlPath], steps: int, broken: NDArray[np.bool_]
+        self, worlds: Worlds, paths: Sequence[ControlPath], steps: int, broken: Statuses
     ) -> None:
         """Give each target in turn and step after it; mark and park what becomes unstable."""
         every = np.arange(len(paths))
         for number in range(len(paths[0].pos)):
             worlds.aim(*(np.stack([p[k][number] for p in paths]) for k in range(3)))
             worlds.park(np.flatnonzero(broken))
-            worlds.step(steps)
-            broken |= self._unstable(*worlds.motion(every))
+            blown = advance(self.scene, self.protocol, worlds, steps)[every]
+            found = instability(self.scene, self.protocol, *worlds.motion(every))
+            broken[:] = np.select([broken != Status.OK, blown != Status.OK], [broken, blown], found)
 
     def _tasks(self, grasps: Sequence[Grasp], closed: _Closed) -> _Tasks:
         """The loads of all grasps that got so far: six along the object's axes, or one down."""
@@ -232,7 +237,7 @@ class _Judge:
             sign = np.where(direction % 2 == 0, 1.0, -1.0)
             gravity = self.protocol.gravity * sign[:, None] * axes[grasp, direction // 2]
             return _Tasks(grasp, direction, gravity, pos[grasp], quat[grasp])
-        rows = np.flatnonzero(closed.status != Status.UNSTABLE)
+        rows = np.flatnonzero(~np.isin(closed.status, UNSTABLE))
         up = np.array([0.0, 0.0, self.lift.height])
         down = np.tile([0.0, 0.0, -self.protocol.gravity], (len(rows), 1))
         return _Tasks(rows, np.full(len(rows), -1), down, pos[rows] + up, quat[rows])
@@ -256,9 +261,15 @@ class _Judge:
             busy = np.flatnonzero(task != IDLE)
             if len(busy) == 0:
                 return held
-            worlds.step(self.protocol.steps_per_check)
+            if SMALL < worlds.count >= FEW * len(busy):  # then nothing waits
+                state = worlds.read(busy)
+                worlds = Worlds(self.scene, self._calm(state), len(busy), contacts, self.device)
+                task, checks, busy = task[busy], checks[busy], np.arange(len(busy))
+                worlds.write(busy, state)
+            blown = advance(self.scene, self.protocol, worlds, self.protocol.steps_per_check)
             checks[busy] += 1
-            done = self._decide(worlds, busy, task[busy], checks[busy], tasks, held)
+            qpos, qvel = worlds.motion(busy)
+            done = self._decide(qpos, qvel, blown[busy], task[busy], checks[busy], tasks, held)
             bad = task[busy[done]]
             bad = bad[held.status[bad] != Status.OK]
             np.minimum.at(failed, tasks.grasp[bad], tasks.direction[bad])
@@ -295,8 +306,9 @@ class _Judge:
 
     def _decide(
         self,
-        worlds: Worlds,
-        busy: IntArray,
+        qpos: FloatArray,
+        qvel: FloatArray,
+        blown: Statuses,
         task: IntArray,
         checks: NDArray[np.int_],
         tasks: _Tasks,
@@ -304,8 +316,9 @@ class _Judge:
     ) -> NDArray[np.bool_]:
         """Judge the busy worlds, write what is decided into `held`, and say which are."""
         protocol = self.protocol
-        qpos, qvel = worlds.motion(busy)
-        status, moved, turned = self._check(qpos, qvel, tasks.pos[task], tasks.quat[task])
+        status, moved, turned = check_worlds(
+            self.scene, protocol, qpos, qvel, tasks.pos[task], tasks.quat[task]
+        )
         held.moved[task] = np.fmax(held.moved[task], moved)
         held.turned[task] = np.fmax(held.turned[task], turned)
         last = round((self.lift.hold if self.lift else protocol.hold) / protocol.check_every)
@@ -313,54 +326,10 @@ class _Judge:
         done = (status != Status.OK) | (checks >= last)
         if self.execution.early_stop:
             left = last * protocol.check_every - time
-            done |= self._rests(qvel, moved, turned, time, left)
+            done |= rests(self.scene, protocol, self.execution, qvel, moved, turned, time, left)
         held.status[task[done]] = status[done]
         held.time[task[done]] = time[done]
         return done
-
-    def _rests(
-        self,
-        qvel: FloatArray,
-        moved: FloatArray,
-        turned: FloatArray,
-        time: FloatArray,
-        left: FloatArray,
-    ) -> NDArray[np.bool_]:
-        """The rule of `stages`: so slow that the object stays within the limits to the end."""
-        rule, at = self.execution, self.scene.object_qvel
-        reach = rule.rest_factor * left
-        linear = np.linalg.norm(qvel[:, at : at + 3], axis=1)
-        angular = np.linalg.norm(qvel[:, at + 3 : at + 6], axis=1)
-        return (
-            (time > rule.rest_from - 1e-9)
-            & (linear < rule.rest_speed)
-            & (angular < rule.rest_turn)
-            & (moved + reach * linear < rule.rest_share * self.protocol.limit_pos)
-            & (turned + reach * angular < rule.rest_share * self.protocol.limit_rot)
-        )
-
-    def _check(
-        self, qpos: FloatArray, qvel: FloatArray, pos: FloatArray, quat: FloatArray
-    ) -> tuple[NDArray[np.int8], FloatArray, FloatArray]:
-        """Compare objects with where they should be: status, displacement [m], angle [rad]."""
-        at = self.scene.object_qpos
-        with np.errstate(invalid="ignore", over="ignore"):
-            moved = np.linalg.norm(qpos[:, at : at + 3] - pos, axis=1)
-            turned = quat_angle(quat, qpos[:, at + 3 : at + 7])
-        status = np.full(len(qpos), Status.OK, np.int8)
-        status[~(turned < self.protocol.limit_rot)] = Status.TURNED
-        status[~(moved < self.protocol.limit_pos)] = Status.SLIP
-        broken = self._unstable(qpos, qvel)
-        status[broken], moved[broken], turned[broken] = Status.UNSTABLE, np.nan, np.nan
-        return status, moved, turned
-
-    def _unstable(self, qpos: FloatArray, qvel: FloatArray) -> NDArray[np.bool_]:
-        """Whether a number is not finite, or something flies faster than is possible."""
-        finite = np.isfinite(qpos).all(axis=1) & np.isfinite(qvel).all(axis=1)
-        roots = np.array([*self.scene.root_qvel, self.scene.object_qvel])
-        with np.errstate(invalid="ignore", over="ignore"):
-            speeds = np.linalg.norm(qvel[:, roots[:, None] + np.arange(3)], axis=2)
-        return ~(finite & (speeds < self.protocol.unstable_speed).all(axis=1))
 
     def _start(self, grasps: Sequence[Grasp]) -> WorldState:
         """The pre-grasps at rest; test l has its load on from here."""
@@ -383,7 +352,7 @@ class _Judge:
     def _verdict(self, closed: _Closed, n: int, held: _Held, loads: IntArray) -> Verdict:
         status = Status(int(closed.status[n]))
         moved, turned = float(closed.moved[n]), float(closed.turned[n])
-        if status is Status.UNSTABLE:
+        if status in UNSTABLE:
             risen = self.lift is not None and bool(closed.raised[n])
             if self.lift is None or not risen:
                 return closing_failure(self.protocol, status, np.nan, np.nan)
