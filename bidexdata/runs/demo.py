@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from bidexdata.runs.pack import pack_runs
+from bidexdata.runs.pack import PackReport, pack_runs
+from bidexdata.runs.prepare import PrepareReport, prepare_library
+from bidexdata.runs.render import RenderReport, render
 from bidexdata.runs.run import Run
-from bidexdata.runs.stage import Execution
+from bidexdata.runs.stage import Execution, StageReport
 from bidexdata.runs.synth import SynthRequest, synth_library
 from bidexdata.runs.validate import validate_run
 
@@ -20,6 +23,48 @@ SIZES_MM = (300, 500)
 GRASPS = 8
 NAME, VERSION = "bidexdata-demo", "1.0.0"
 PROTOCOL = "paper-1"
+SHOWN = 12
+"""Grasps on the contact sheet."""
+
+
+@dataclass(frozen=True, slots=True)
+class Demo:
+    """What the pipeline is to make, and where."""
+
+    out: Path
+    execution: Execution
+    grasps: int = GRASPS
+    sources: str = SOURCES
+    sizes_mm: tuple[int, ...] = SIZES_MM
+
+    @property
+    def library(self) -> Path:
+        """The prepared objects."""
+        return self.out / "library"
+
+    @property
+    def run(self) -> Path:
+        """Grasps and their verdicts."""
+        return self.out / "run"
+
+    @property
+    def release(self) -> Path:
+        """The packed data set."""
+        return self.out / "release"
+
+    @property
+    def sheet(self) -> Path:
+        """The contact sheet."""
+        return self.out / "contact_sheet.png"
+
+
+class Stage(NamedTuple):
+    """One step of the pipeline."""
+
+    name: str
+    sentence: str
+    """What a person reads before it starts."""
+    work: Callable[[Demo], Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,62 +100,60 @@ def run_demo(
         sizes_mm: Sizes.
         say: Takes a line before each stage.
     """
-    from bidexdata.runs.prepare import prepare_library
-    from bidexdata.runs.render import render
+    demo = Demo(out, execution or Execution(), grasps, sources, sizes_mm)
+    made, seconds = {}, {}
+    for stage in stages_of(demo):
+        say(stage.sentence)
+        start = time.monotonic()
+        made[stage.name] = stage.work(demo)
+        seconds[stage.name] = round(time.monotonic() - start, 2)
+    objects, figures = made["prepare"].prepared, dict(made["pack"].figures)
+    return DemoReport(out, demo.sheet, objects, figures, seconds)
+
+
+def stages_of(demo: Demo) -> tuple[Stage, ...]:
+    """The pipeline in its order."""
+    per_scene = f"{demo.grasps} grasps per object and size with the hand {HAND!r}"
+    return (
+        Stage("prepare", f"prepare {demo.sources}", _prepare),
+        Stage("synth", f"synthesise {per_scene}", _synth),
+        Stage("validate", f"validate by protocol {PROTOCOL}", _validate),
+        Stage("pack", "pack a release", _pack_anew),
+        Stage("render", "draw a contact sheet", _render),
+    )
+
+
+def _prepare(demo: Demo) -> PrepareReport:
+    how = demo.execution
+    return prepare_library(
+        [demo.sources], demo.library, executor=how.executor, workers=how.workers, quiet=how.quiet
+    )
+
+
+def _synth(demo: Demo) -> StageReport:
     from bidexdata.synthesis.presets import load_preset
+
+    request = SynthRequest(
+        config=load_preset("default"), hand=HAND, sizes_mm=demo.sizes_mm, grasps=demo.grasps
+    )
+    return synth_library(demo.library, demo.run, request, execution=demo.execution)
+
+
+def _validate(demo: Demo) -> dict[str, StageReport]:
     from bidexdata.validation.protocols import load_protocol
 
-    execution = execution or Execution()
-    library, run, release = out / "library", out / "run", out / "release"
-    sheet = out / "contact_sheet.png"
-    seconds: dict[str, float] = {}
-
-    def stage(name: str, text: str, do: Callable[[], Any]) -> Any:
-        say(text)
-        start = time.monotonic()
-        result = do()
-        seconds[name] = round(time.monotonic() - start, 2)
-        return result
-
-    prepared = stage(
-        "prepare",
-        f"prepare {sources}",
-        lambda: prepare_library(
-            [sources],
-            library,
-            executor=execution.executor,
-            workers=execution.workers,
-            quiet=execution.quiet,
-        ),
-    )
-    request = SynthRequest(
-        config=load_preset("default"), hand=HAND, sizes_mm=sizes_mm, grasps=grasps
-    )
-    stage(
-        "synth",
-        f"synthesise {grasps} grasps per object and size with the hand {HAND!r}",
-        lambda: synth_library(library, run, request, execution=execution),
-    )
-    stage(
-        "validate",
-        f"validate by protocol {PROTOCOL}",
-        lambda: validate_run(Run.open(run), load_protocol(PROTOCOL), execution=execution),
-    )
-    packed = stage("pack", "pack a release", lambda: _pack_anew(run, release, execution.quiet))
-    stage(
-        "render",
-        "draw a contact sheet",
-        lambda: render(release, sheet, count=12, quiet=execution.quiet),
-    )
-    return DemoReport(out, sheet, prepared.prepared, dict(packed.figures), seconds)
+    return validate_run(Run.open(demo.run), load_protocol(PROTOCOL), execution=demo.execution)
 
 
-def _pack_anew(run: Path, release: Path, quiet: bool) -> Any:
+def _pack_anew(demo: Demo) -> PackReport:
     # Only what this function wrote before is replaced: a folder with our demo's manifest.
-    import shutil
-
     from bidexdata.formats.release import Release
 
-    if release.is_dir() and any(release.iterdir()) and Release.open(release).name == NAME:
-        shutil.rmtree(release)
-    return pack_runs([run], release, name=NAME, version=VERSION, quiet=quiet)
+    old = demo.release
+    if old.is_dir() and any(old.iterdir()) and Release.open(old).name == NAME:
+        shutil.rmtree(old)
+    return pack_runs([demo.run], old, name=NAME, version=VERSION, quiet=demo.execution.quiet)
+
+
+def _render(demo: Demo) -> RenderReport:
+    return render(demo.release, demo.sheet, count=SHOWN, quiet=demo.execution.quiet)
