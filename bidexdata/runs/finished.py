@@ -30,7 +30,7 @@ class Finished:
         """Look at a run now."""
         planned = {t.task_id for t in run.tasks}
         # Verdicts first: whatever has one by now has its rows when these are listed.
-        folders = sorted((run.path / "validate").glob("*/*"))
+        folders = sorted(f for f in (run.path / "validate").glob("*/*") if f.is_dir())
         judged = {(f.parent.name, f.name): done_tasks(f) for f in folders}
         rows = done_tasks(run.stage_folder("rows"))
         return cls(

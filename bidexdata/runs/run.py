@@ -125,7 +125,7 @@ class Run:
 
     def verdict_tests(self) -> list[tuple[str, str]]:
         """The (protocol, test) pairs that have shards."""
-        folders = sorted((self.path / "validate").glob("*/*"))
+        folders = sorted(f for f in (self.path / "validate").glob("*/*") if f.is_dir())
         return [(f.parent.name, f.name) for f in folders if done_tasks(f)]
 
     def done(self, protocol: str | None = None, test: str = "f") -> set[str]:
