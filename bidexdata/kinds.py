@@ -18,6 +18,8 @@ RUN_FILE = "run.json"
 MANIFEST = "manifest.json"
 OBJECTS = "objects"
 """Folder of the objects, in a library and in a release."""
+PARTS = ".parts"
+"""What machines that prepare one library leave for each other; gone when it is finished."""
 
 _TOP_FILES: dict[Kind, str] = {"library": INDEX, "run": RUN_FILE, "release": MANIFEST}
 _MADE_BY: dict[Kind, str] = {"library": "prepare", "run": "synth", "release": "pack"}
@@ -48,7 +50,7 @@ def kind_of(path: str | Path) -> Kind:
         if (path / _TOP_FILES[kind]).is_file():
             return kind
     # Without its index a library is objects alone; a broken release has more beside them.
-    if (path / OBJECTS).is_dir():
+    if (path / OBJECTS).is_dir() or (path / PARTS).is_dir():
         others = [p for p in path.iterdir() if p.name != OBJECTS and not p.name.startswith(".")]
         return "nothing" if others else "library"
     return "nothing"

@@ -28,6 +28,10 @@ def prepare(
     ] = False,
     workers: options.Workers = 0,
     executor: options.ExecutorName = "processes",
+    shard: options.Shard = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of the surface points: the key surface.seed.")
+    ] = None,
     config: options.ConfigFile = None,
     assignments: options.Assignments = None,
     as_json: options.Json = False,
@@ -36,22 +40,29 @@ def prepare(
 ) -> None:
     """Turn mesh files into an object library.
 
-    --json keys: library, inputs, prepared, hulls, resumed, by_status, failures, seconds,
-    fingerprint.
+    The same command goes on after a stop. With --shard several machines prepare one folder: give
+    each the same inputs and another part; the part that finishes last writes the index, and the
+    library is the one that a single machine makes.
+
+    --json keys: library, inputs, prepared, hulls, resumed, by_status, failures, waiting (inputs of
+    other parts that are not done), seconds, fingerprint. While some are waiting, the others count
+    this part only.
     """
     from bidexdata.errors import NothingSucceeded
     from bidexdata.objects.config import PrepareConfig
     from bidexdata.record import Status
     from bidexdata.runs.prepare import prepare_library
 
+    changes = [*(assignments or []), *([] if seed is None else [f"surface.seed={seed}"])]
     report = prepare_library(
         sources,
         out,
-        options.configured(PrepareConfig(), config, assignments),
+        options.configured(PrepareConfig(), config, changes),
         limit=limit,
         dry_run=dry_run,
         executor=executor,
         workers=workers,
+        shard=options.parse_shard(shard),
         quiet=quiet,
     )
     failed = [r for r in report.rows if r["status"] not in (Status.OK, Status.DUPLICATE)]
@@ -66,11 +77,17 @@ def prepare(
             f"({counts_text(report.by_status)}; {report.hulls} replaced by the hull) "
             f"in {report.seconds:.1f} s"
         )
-    good = dry_run or report.prepared > 0
+    if report.waiting:
+        lines.append(
+            f"part {shard}: {report.waiting} inputs of other parts are not done yet; "
+            "the part that finishes last writes the index"
+        )
+    good = dry_run or report.prepared > 0 or report.waiting > 0
+    finished = good and not dry_run and not report.waiting
     finish(
         {**report.as_dict(), "failures": failures},
         lines,
-        following=command("synth", out, "--out", "RUN") if good and not dry_run else "",
+        following=command("synth", out, "--out", "RUN") if finished else "",
         as_json=as_json,
         quiet=quiet,
     )

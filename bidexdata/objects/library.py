@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import socket
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -79,7 +81,7 @@ class Library:
         if not (path / INDEX).is_file():
             raise NotUsable(
                 f"{path} has no {INDEX}: it is an unfinished library; "
-                "run the same `bidexdata prepare` again to finish it"
+                "run the same `bidexdata prepare` again, or the parts that are missing, to finish it"
             )
         return cls(path, _read_index(path / INDEX))
 
@@ -175,7 +177,7 @@ def write_index(library: Path, rows: Sequence[Mapping[str, Any]], config: Any) -
     schema = pa.schema(fields, metadata=metadata)
     plain = [{name: row.get(name) for name, _, _ in COLUMNS} for row in rows]
     library.mkdir(parents=True, exist_ok=True)
-    partial = library / f".{INDEX}.partial"
+    partial = library / f".{INDEX}.{socket.gethostname()}.{os.getpid()}.partial"
     pq.write_table(pa.Table.from_pylist(plain, schema=schema), partial, compression="zstd")
     partial.replace(library / INDEX)
 

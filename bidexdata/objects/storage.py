@@ -10,6 +10,7 @@ import io
 import json
 import os
 import shutil
+import socket
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -92,9 +93,13 @@ def solid_files(solid: Solid, config: Mapping[str, Any] | None = None) -> dict[s
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files under a temporary folder name and rename it into place."""
+    """Write files under a temporary folder name and rename it into place.
+
+    Where another machine puts the same folder there meanwhile, its files stay.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
+    partial = folder.with_name(f".{folder.name}.{socket.gethostname()}.{os.getpid()}.partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir()
     for name, data in files.items():
@@ -102,9 +107,12 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
             stream.write(data)
             stream.flush()
             os.fsync(stream.fileno())
-    if folder.exists():
-        shutil.rmtree(folder)
-    os.replace(partial, folder)
+    try:
+        os.replace(partial, folder)
+    except OSError:
+        if not folder.is_dir():
+            raise
+        shutil.rmtree(partial)
 
 
 def read_object(folder: Path) -> PreparedObject:

@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from bidexdata.config import fingerprint
 from bidexdata.errors import Contradiction, NotUsable
@@ -20,6 +21,7 @@ from bidexdata.record import Scene
 from bidexdata.record.scene import Setting
 from bidexdata.runs.shards import write_atomically
 
+T = TypeVar("T")
 TASK_SECONDS = 60.0
 """What a task should take on one core [s]. Little is lost when a worker dies."""
 ATTEMPT_SECONDS = 0.2
@@ -77,7 +79,7 @@ def plan_tasks(scenes: Mapping[str, Sequence[str]], rounds: Sequence[Round]) -> 
     return tasks
 
 
-def take_shard(tasks: Sequence[Task], shard: tuple[int, int] | None) -> list[Task]:
+def take_shard(tasks: Sequence[T], shard: tuple[int, int] | None) -> list[T]:
     """Give machine i of n its part of the plan, i from 0 to n - 1."""
     if shard is None:
         return list(tasks)

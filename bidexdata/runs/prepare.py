@@ -13,7 +13,7 @@ import os
 import shutil
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,9 +30,10 @@ from bidexdata.objects.sources import SourceItem, resolve_sources
 from bidexdata.objects.storage import read_document, write_object
 from bidexdata.record.status import Status
 from bidexdata.runs.executors import TaskFailure, check_executor, run_tasks
+from bidexdata.runs.plan import take_shard
+from bidexdata.runs.prepare_parts import Parts, Row
 from bidexdata.runs.progress import Progress
-
-Row = dict[str, Any]
+from bidexdata.runs.shards import orphans
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +53,17 @@ class PrepareReport:
 
     library: Path
     rows: tuple[Row, ...]
-    """One per input, in order (the rows of the index); for a dry run only names and ids."""
+    """One per input, in order (the rows of the index); for a dry run only names and ids.
+
+    Of a part that does not finish the library, only its own."""
     resumed: int
-    """Objects that were complete before."""
+    """Objects of this part that were complete before."""
     seconds: float
     """Wall-clock time."""
     fingerprint: str
-    """Of the library; empty for a dry run."""
+    """Of the library; empty while it has no index."""
+    waiting: int = 0
+    """Inputs of other parts that nobody has settled yet; the index is written when none is left."""
 
     @property
     def by_status(self) -> dict[str, int]:
@@ -84,6 +89,7 @@ class PrepareReport:
             "hulls": self.hulls,
             "resumed": self.resumed,
             "by_status": self.by_status,
+            "waiting": self.waiting,
             "seconds": round(self.seconds, 3),
             "fingerprint": self.fingerprint,
         }
@@ -98,6 +104,7 @@ def prepare_library(
     dry_run: bool = False,
     executor: str = "processes",
     workers: int = 0,
+    shard: tuple[int, int] | None = None,
     quiet: bool = False,
 ) -> PrepareReport:
     """Prepare the objects that the sources name and write the library.
@@ -110,6 +117,8 @@ def prepare_library(
         dry_run: List the inputs and write nothing.
         executor: `processes`, `inline` (no limits of memory and time) or `ray`.
         workers: Number of workers; 0 means one per core.
+        shard: Part i of n of the inputs, i from 0. Several machines may prepare one folder; the
+            part that finds all others done writes the index (see `prepare_parts`).
         quiet: Show no progress.
 
     Raises:
@@ -122,25 +131,39 @@ def prepare_library(
     items = resolve_sources(sources)[: None if limit is None else max(limit, 0)]
     _check_out(out, config)
     rows, tasks = _plan(items, out, config)
+    mine = take_shard(range(len(items)), shard)
     if dry_run:
-        return PrepareReport(out, tuple(rows), 0, time.monotonic() - start, "")
+        return PrepareReport(out, tuple(rows[n] for n in mine), 0, time.monotonic() - start, "")
 
-    to_do = {n: t for n, t in tasks.items() if not _complete(t)}
+    my_tasks = {n: tasks[n] for n in mine if n in tasks}
+    to_do = {n: t for n, t in my_tasks.items() if not _complete(t)}
     _remove_partials(out)
-    with Progress(len(items), "objects", quiet, already=len(items) - len(to_do)) as progress:
-        for task, result in _run(list(to_do.values()), config, executor, workers):
-            failed = result.get("status", Status.OK) != Status.OK
-            if failed:
-                progress.write(f"{task.item.source_name}: {result['reason']}")
-            rows[_number(to_do, task)].update(result)
-            progress.advance(note=task.object_id)
-    for number, task in tasks.items():
+    with Progress(len(mine), "objects", quiet, already=len(mine) - len(to_do)) as progress:
+        for number, result in _run(to_do, config, executor, workers):
+            rows[number].update(result)
+            if rows[number]["status"] != Status.OK:
+                progress.write(f"{rows[number]['source_name']}: {rows[number]['reason']}")
+            progress.advance(note=to_do[number].object_id)
+
+    parts = Parts(out, rows, _identity(config))
+    if shard is not None:
+        parts.write(shard, {n: rows[n] for n in to_do if rows[n]["status"] != Status.OK})
+    waiting = _settle_others({n: t for n, t in tasks.items() if n not in my_tasks}, rows, parts)
+    known = mine if waiting else range(len(items))
+    for number in known:
         if rows[number]["status"] == Status.OK:
-            rows[number].update(_row_from_disk(task))
-    write_index(out, rows, _identity(config))
-    library = Library.open(out)
-    resumed = len(tasks) - len(to_do)
-    return PrepareReport(out, tuple(rows), resumed, time.monotonic() - start, library.fingerprint)
+            rows[number].update(_row_from_disk(tasks[number]))
+    if not waiting:
+        write_index(out, rows, _identity(config))
+        parts.remove()
+    return PrepareReport(
+        library=out,
+        rows=tuple(rows[n] for n in known),
+        resumed=len(my_tasks) - len(to_do),
+        seconds=time.monotonic() - start,
+        fingerprint="" if waiting else Library.open(out).fingerprint,
+        waiting=waiting,
+    )
 
 
 def prepare_one(task: PrepareTask) -> Row:
@@ -157,8 +180,9 @@ def prepare_one(task: PrepareTask) -> Row:
     except MemoryError:
         bound = task.config.limits.memory_gib
         return _failed(Status.TOO_COMPLEX, f"needs more than limits.memory_gib = {bound:g} GiB")
-    folder = task.library / object_folder(task.object_id)
-    write_object(folder, obj, _identity(task.config))
+    if not _complete(task):  # by another machine, meanwhile
+        folder = task.library / object_folder(task.object_id)
+        write_object(folder, obj, _identity(task.config))
     return {}
 
 
@@ -197,22 +221,37 @@ def _plan(
 
 
 def _run(
-    tasks: Sequence[PrepareTask], config: PrepareConfig, executor: str, workers: int
-) -> Iterator[tuple[PrepareTask, Row]]:
+    tasks: Mapping[int, PrepareTask], config: PrepareConfig, executor: str, workers: int
+) -> Iterator[tuple[int, Row]]:
     """Run the tasks; whatever a worker dies of becomes a row."""
     wall = config.limits.wall_seconds
-    done = run_tasks(tasks, prepare_one, executor=executor, workers=workers, timeout=wall)
+    numbers = {task.object_id: number for number, task in tasks.items()}
+    done = run_tasks(
+        list(tasks.values()), prepare_one, executor=executor, workers=workers, timeout=wall
+    )
     for task, result in done:
+        number = numbers[task.object_id]
         if not isinstance(result, TaskFailure):
-            yield task, result
+            yield number, result
         elif result.kind == "timeout":
-            yield task, _failed(Status.TIMED_OUT, f"took longer than {wall:g} s")
+            yield number, _failed(Status.TIMED_OUT, f"took longer than {wall:g} s")
         else:
-            yield task, _failed(Status.CRASHED, result.reason)
+            yield number, _failed(Status.CRASHED, result.reason)
 
 
-def _number(tasks: dict[int, PrepareTask], task: PrepareTask) -> int:
-    return next(n for n, t in tasks.items() if t.object_id == task.object_id)
+def _settle_others(others: Mapping[int, PrepareTask], rows: list[Row], parts: Parts) -> int:
+    """Put the failures of other parts into their rows; count the inputs that are not settled."""
+    if not others:
+        return 0
+    failures = parts.failures()
+    there = {n for n, t in others.items() if (t.library / object_folder(t.object_id)).is_dir()}
+    waiting = others.keys() - there - failures.keys()
+    if not waiting:  # a cut or foreign folder counts as none; looking inside takes long
+        whole = {n for n in there if _complete(others[n])}
+        waiting = others.keys() - whole - failures.keys()
+        for number in others.keys() - whole - waiting:
+            rows[number].update(failures[number])
+    return len(waiting)
 
 
 def _failed(status: Status, reason: str) -> Row:
@@ -278,9 +317,11 @@ def _identity(config: PrepareConfig) -> dict[str, Any]:
 
 
 def _remove_partials(out: Path) -> None:
-    """Remove what killed workers left half written."""
-    for partial in out.glob("objects/*/.*.partial"):
+    """Remove what killed workers left half written, and nothing of other machines at work."""
+    for partial in orphans(out.glob(f"{OBJECTS}/*/.*.partial")):
         shutil.rmtree(partial, ignore_errors=True)
+    for partial in orphans(out.glob(".*.partial")):
+        partial.unlink(missing_ok=True)
 
 
 def _limit_memory(gib: float) -> None:

@@ -13,7 +13,7 @@ import json
 import os
 import socket
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -186,17 +186,28 @@ def write_text(path: Path, text: str) -> None:
 
 def sweep(folders: Iterable[Path]) -> int:
     """Delete temporary files that killed writers left; count them."""
-    host, now, removed = socket.gethostname(), time.time(), 0
+    removed = 0
     for folder in folders:
-        for path in folder.glob("**/.*.tmp"):
-            pid = path.name.removesuffix(".tmp").rpartition(".")[2]
-            ours = path.name.endswith(f".{host}.{pid}.tmp") and pid.isdecimal()
+        for path in orphans(folder.glob("**/.*.tmp")):
             with contextlib.suppress(OSError):
-                old = now - path.stat().st_mtime > STALE_AFTER
-                if old or (ours and not _alive(int(pid))):
-                    path.unlink()
-                    removed += 1
+                path.unlink()
+                removed += 1
     return removed
+
+
+def orphans(temporaries: Iterable[Path]) -> Iterator[Path]:
+    """Yield those of some temporary files or folders whose writer is gone.
+
+    Their names end in `.<host>.<pid>.<anything>`; another machine's are orphans after a day.
+    """
+    host, now = socket.gethostname(), time.time()
+    for path in temporaries:
+        stem, _, pid = path.name.rpartition(".")[0].rpartition(".")
+        ours = stem.endswith(f".{host}") and pid.isdecimal()
+        with contextlib.suppress(OSError):
+            old = now - path.stat().st_mtime > STALE_AFTER
+            if old or (ours and not _alive(int(pid))):
+                yield path
 
 
 def _alive(pid: int) -> bool:

@@ -56,7 +56,7 @@ def test_every_command_has_help_with_the_common_options(name: str, capsys: pytes
 def test_long_commands_take_the_options_of_long_commands(name: str, capsys: pytest.CaptureFixture):
     run([name, "--help"])
     text = capsys.readouterr().out
-    for option in ("--workers", "--executor", "--config", "--set"):
+    for option in ("--workers", "--executor", "--shard", "--seed", "--config", "--set"):
         assert option in text
 
 

@@ -56,6 +56,8 @@ WRITTEN = [
     ([*PACK, "--name", "my grasps"], "'my grasps'"),
     ([*SYNTH, "--shard", "4/4"], "--shard '4/4'"),
     ([*VALIDATE, "--shard", "first"], "--shard 'first'"),
+    ([*PREPARE, "--shard", "1/1"], "--shard '1/1'"),
+    ([*PREPARE, "--seed", "x"], "--seed"),
     (["prepare", "shapes:box/0", "--out", "{tmp}/library"], "FAMILY/COUNT"),
     # a number outside its range
     ([*SYNTH, "--grasps", "0"], "--grasps"),

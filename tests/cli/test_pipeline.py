@@ -84,6 +84,36 @@ def release(whole: Path) -> Path:
     return folder
 
 
+def test_a_library_made_in_parts_is_the_one_made_at_once(
+    library: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+):
+    folder = tmp_path / "library"
+    prepare = ["prepare", "shapes:box,cylinder,sphere", "--out", str(folder), "--executor", "inline"]
+    capsys.readouterr()
+    assert run([*prepare, "--shard", "1/2", "--json", "--quiet"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert (data["inputs"], data["prepared"], data["waiting"]) == (1, 1, 2)
+    assert "next" not in data
+    assert run([*prepare, "--shard", "1/2"]) == 0
+    assert "part 1/2: 2 inputs of other parts are not done yet" in capsys.readouterr().out
+    assert run(["info", str(folder)]) == 3
+    assert "unfinished" in capsys.readouterr().err
+    assert run([*prepare, "--shard", "0/2", "--json", "--quiet"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert (data["inputs"], data["prepared"], data["waiting"]) == (3, 3, 0)
+    assert data["next"].startswith("bidexdata synth")
+    assert files_of(folder) == files_of(library)
+
+
+def test_the_seed_of_prepare_is_that_of_the_surface_points(library: Path, tmp_path: Path, capsys):
+    prepare = ["prepare", "shapes:box", "--executor", "inline", "--quiet", "--out"]
+    assert run([*prepare, str(tmp_path / "a"), "--seed", "3"]) == 0
+    assert run([*prepare, str(tmp_path / "b"), "--set", "surface.seed=3"]) == 0
+    assert files_of(tmp_path / "a") == files_of(tmp_path / "b")
+    assert run([*prepare, str(tmp_path / "a"), "--seed", "4"]) == 5
+    assert "surface.seed: 3 -> 4" in capsys.readouterr().err
+
+
 def test_a_run_holds_what_was_asked_for(whole: Path):
     made = Run.open(whole)
     assert len(made.tasks) == TASKS

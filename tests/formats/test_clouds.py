@@ -1,9 +1,12 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from made_release import OBJECTS, made_object
 
 from bidexdata.errors import Contradiction
 from bidexdata.formats.clouds import open_cloud, surface_cloud
+from bidexdata.formats.release import Release
 
 
 @pytest.mark.parametrize("object_id", OBJECTS)
@@ -57,3 +60,31 @@ def test_what_is_no_cloud_is_refused(tmp_path):
     np.save(path, np.array([{}], dtype=object), allow_pickle=True)
     with pytest.raises(Contradiction, match="unreadable cloud"):
         open_cloud(path)
+
+
+def test_numpy_reads_every_array_of_a_release_without_pickle(packed):
+    paths = [*packed.rglob("*.npy"), *packed.rglob("*.npz")]
+    assert {p.suffix for p in paths} == {".npy", ".npz"}
+    for path in paths:
+        found = np.load(path, allow_pickle=False)
+        arrays = [found] if isinstance(found, np.ndarray) else list(found.values())
+        assert all(a.dtype != object for a in arrays)
+
+
+def test_the_rows_of_a_cloud_file_are_those_that_the_objects_table_names(packed):
+    release = Release.open(packed)
+    every = np.load(packed / "clouds" / "cloud_solid.npy", mmap_mode="r")
+    rows = release.objects.select(["object_id", "cloud_index"]).to_pylist()
+    assert sorted(r["cloud_index"] for r in rows) == list(range(len(every)))
+    for row in rows:
+        cloud = release.cloud("cloud_solid", row["object_id"])
+        np.testing.assert_array_equal(every[row["cloud_index"]], cloud)
+
+
+def test_readme_and_card_say_how_to_read_clouds_and_that_pickle_is_not_needed(packed):
+    root = Path(__file__).resolve().parents[2]
+    for text in ((root / "README.md").read_text("utf-8"), (packed / "README.md").read_text("utf-8")):
+        said = " ".join(text.split())
+        assert "mmap_mode=\"r\"" in said
+        assert "`allow_pickle=True` is never needed" in said
+        assert "`cloud_index` of" in said

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import socket
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,6 +43,15 @@ def files(folder: Path) -> dict[str, bytes]:
     }
 
 
+def dead_process() -> str:
+    return subprocess.run(
+        [sys.executable, "-c", "import os; print(os.getpid())"],
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout.strip()
+
+
 def test_every_input_is_one_row_with_its_status(tmp_path, meshes, small):
     report = run([meshes], tmp_path / "lib", small)
     labels = [row["status_label"] for row in report.rows]
@@ -71,7 +83,7 @@ def test_a_second_run_makes_only_what_is_missing(tmp_path, meshes, small):
         path.unlink()
     lost.rmdir()
     (out / "index.parquet").unlink()
-    (lost.parent / f".{lost.name}.99.partial").mkdir()
+    (lost.parent / f".{lost.name}.{socket.gethostname()}.{dead_process()}.partial").mkdir()
     again = run([meshes], out, small)
     assert again.resumed == 1
     assert files(out) == before

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import os
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from bidexdata.objects.storage import (
     object_files,
     read_object,
     read_solid,
+    write_files,
     write_object,
     write_solid,
 )
@@ -161,3 +163,17 @@ def fill(library: Path, objects: list[PreparedObject], failure: bool = False) ->
     if failure:
         rows.insert(1, {"source_name": "points.obj", "status": int(Status.NO_FACES)})
     write_index(library, rows, PrepareConfig())
+
+
+def test_of_two_writers_of_one_folder_the_first_stays_and_nothing_else(tmp_path, monkeypatch):
+    folder, real = tmp_path / "objects" / "box", os.replace
+
+    def overtaken(source, target):
+        folder.mkdir()
+        (folder / "a").write_bytes(b"first")
+        real(source, target)
+
+    monkeypatch.setattr(os, "replace", overtaken)
+    write_files(folder, {"a": b"second"})
+    assert (folder / "a").read_bytes() == b"first"
+    assert [p.name for p in folder.parent.iterdir()] == ["box"]
