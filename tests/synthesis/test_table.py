@@ -208,8 +208,8 @@ def test_mirrored_hands_roll_and_rise_mirrored():
 def test_no_accepted_grasp_has_a_hand_deeper_in_the_table_than_the_limit_at_any_stage(hands, limit):
     plate = OBJECTS["plate"]
     config = with_overrides(SynthConfig(), [f"selection.table_depth={limit}"])
-    made = synthesize(plate, hands, [on_table(plate, 300)], config, seed=2, grasps=6)
-    counts = made.header.counts["made-00000000/300/table0"]
+    made = synthesize(plate, hands, [on_table(plate, 200)], config, seed=2, grasps=6)
+    counts = made.header.counts["made-00000000/200/table0"]
     ok = np.flatnonzero(made["synth_status"] == Status.OK)
     assert len(ok)
     assert ("table_penetration" in counts) == (limit < 0.001)
