@@ -204,7 +204,7 @@ def test_mirrored_hands_roll_and_rise_mirrored():
     assert np.linalg.norm(one.shift, axis=1).max() <= 0.06
 
 
-@pytest.mark.parametrize("limit", [0.005, 1e-5])
+@pytest.mark.parametrize("limit", [0.05, 1e-5])
 def test_no_accepted_grasp_has_a_hand_deeper_in_the_table_than_the_limit_at_any_stage(hands, limit):
     plate = OBJECTS["plate"]
     config = with_overrides(SynthConfig(), [f"selection.table_depth={limit}"])
