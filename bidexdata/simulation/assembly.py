@@ -120,9 +120,7 @@ def _weld(
     weld.data = data
 
 
-def _slide(
-    spec: mujoco.MjSpec, root: mujoco.MjsBody, index: int, settings: SceneSettings
-) -> None:
+def _slide(spec: mujoco.MjSpec, root: mujoco.MjsBody, index: int, settings: SceneSettings) -> None:
     """Carry a hand on three slides and three hinges, z last: R = Rx Ry Rz."""
     import mujoco
 

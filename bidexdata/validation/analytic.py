@@ -102,9 +102,7 @@ def q1(tips: TipContacts, friction: float) -> float:
     if scale < 1e-9:  # a single contact, or all in one place
         return 0.0
     angle = 2 * np.pi * np.arange(EDGES) / EDGES
-    edges = np.stack(
-        [np.ones(EDGES), friction * np.sin(angle), friction * np.cos(angle)], axis=1
-    )
+    edges = np.stack([np.ones(EDGES), friction * np.sin(angle), friction * np.cos(angle)], axis=1)
     G = grasp_matrix(offset / scale, contact_frames(tips.normals_in))
     wrenches = np.einsum("cij,ej->cei", G, edges).reshape(-1, 6)
     try:

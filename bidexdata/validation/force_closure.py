@@ -60,9 +60,7 @@ def force_closure(
     mujoco.mj_getState(scene.model, scene.data, closed, mujoco.mjtState.mjSTATE_INTEGRATION)
 
     def loaded(multiple: float, watch: Watch | None = None) -> tuple[int, Phase]:
-        return _all_directions(
-            scene, protocol, grasp, closed, wanted, execution, multiple, watch
-        )
+        return _all_directions(scene, protocol, grasp, closed, wanted, execution, multiple, watch)
 
     direction, phase = loaded(1.0, watch)
     drift_pos = float(np.fmax(moved, phase.drift_pos))
@@ -71,9 +69,7 @@ def force_closure(
     if execution.load_margin:
         margin = largest_multiple(phase.status is Status.OK, lambda m: loaded(m)[0] < 0)
     if direction < 0:
-        return Verdict(
-            Status.OK, drift_pos=drift_pos, drift_rot=drift_rot, load_margin=margin
-        )
+        return Verdict(Status.OK, drift_pos=drift_pos, drift_rot=drift_rot, load_margin=margin)
     cause = hold_cause(phase, touched=touched)
     return Verdict(cause, TestStage.HOLD, direction, drift_pos, drift_rot, phase.time, margin)
 

@@ -67,9 +67,7 @@ def lift(
     if first.ended is TestStage.CLOSING:
         return closing_failure(protocol, phase.status, np.nan, np.nan)
     cause = hold_cause(phase, touched=first.touched, thrown=first.thrown, lifted=first.lifted)
-    return Verdict(
-        cause, first.ended, -1, phase.drift_pos, phase.drift_rot, phase.time, margin
-    )
+    return Verdict(cause, first.ended, -1, phase.drift_pos, phase.drift_rot, phase.time, margin)
 
 
 class _Lifted(NamedTuple):

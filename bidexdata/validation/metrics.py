@@ -54,9 +54,7 @@ def measure(scene: SimScene, rules: MetricRules, grasp: Grasp) -> Distances:
     )
 
 
-def grasp_metrics(
-    distances: Distances, rules: MetricRules, hands: Sequence[Hand] = ()
-) -> Metrics:
+def grasp_metrics(distances: Distances, rules: MetricRules, hands: Sequence[Hand] = ()) -> Metrics:
     """Compute the figures from the distances at the grasp.
 
     Args:

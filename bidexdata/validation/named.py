@@ -73,7 +73,9 @@ NAMED: dict[str, Protocol] = {
             "a hundred times the density, 250 kg/m^3",
             SceneSettings(density=250.0),
         ),
-        _heavier("paper-1-mass500g", "objects of 0.5 kg, whatever their size", SceneSettings(mass=0.5)),
+        _heavier(
+            "paper-1-mass500g", "objects of 0.5 kg, whatever their size", SceneSettings(mass=0.5)
+        ),
         _BENCH,
         _BIMAN,
     )

@@ -198,9 +198,7 @@ def reference(scene: SimScene, protocol: Protocol) -> Reference:
     return Reference(pos, quat)
 
 
-def check(
-    scene: SimScene, protocol: Protocol, wanted: Reference
-) -> tuple[Status, float, float]:
+def check(scene: SimScene, protocol: Protocol, wanted: Reference) -> tuple[Status, float, float]:
     """Compare the object with where it should be: status, displacement [m], angle [rad]."""
     unstable = instability(scene, protocol)
     if unstable is not None:

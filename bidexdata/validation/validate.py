@@ -11,7 +11,7 @@ from bidexdata.errors import NotUsable
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import Solid
 from bidexdata.record import GraspBatch, Status
-from bidexdata.record.batch import empty_columns
+from bidexdata.record.batch import empty_columns, in_metres
 from bidexdata.record.fields import columns_written_by
 from bidexdata.simulation.engine_log import engine_warnings_logged
 from bidexdata.simulation.scene import SceneNotBuilt, SimScene, build_scene
@@ -73,11 +73,11 @@ def validate_grasps(
     statuses = _statuses_before(batch, hands)
     columns["verdict_status"][:] = statuses
     runnable = statuses == Status.OK
-    for size_mm in np.unique(batch.size_mm[runnable]):
-        rows = np.flatnonzero(runnable & (batch.size_mm == size_mm))
+    for size in np.unique(batch.size[runnable]):
+        rows = np.flatnonzero(runnable & (batch.size == size))
         try:
             scene = build_scene(
-                hands, solid, float(size_mm) / 1000, protocol.scene, table=test in WITH_TABLE
+                hands, solid, in_metres(size), protocol.scene, table=test in WITH_TABLE
             )
         except SceneNotBuilt:
             columns["verdict_status"][rows] = Status.NO_SCENE
@@ -141,6 +141,7 @@ def _statuses_before(batch: GraspBatch, hands: Sequence[Hand]) -> NDArray[np.int
         own = batch.joints[:, i, :, : len(hand.joint_names)]
         good &= (np.abs(own) < LARGEST_JOINT).all(axis=(1, 2))  # False for NaN
     statuses[~good] = Status.BAD_POSE
+    statuses[~np.isfinite(batch.size)] = Status.NO_SCENE
     if "synth_status" in batch:
         statuses[batch.synth_status != Status.OK] = Status.NOT_RUN
     return statuses

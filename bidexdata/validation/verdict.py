@@ -51,9 +51,7 @@ def start_overlap(scene: SimScene, protocol: Protocol, grasp: Grasp) -> Verdict 
     return None
 
 
-def closing_failure(
-    protocol: Protocol, status: Status, moved: float, turned: float
-) -> Verdict:
+def closing_failure(protocol: Protocol, status: Status, moved: float, turned: float) -> Verdict:
     """The verdict on an object that left the limits, or a simulation that broke, while closing."""
     cause = status if status in UNSTABLE else Status.THROWN
     return Verdict(cause, TestStage.CLOSING, -1, moved, turned, protocol.closing_time)

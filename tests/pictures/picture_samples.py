@@ -64,6 +64,7 @@ def grasps(hands: tuple[Hand, ...], solid: Solid, n: int = 6) -> GraspBatch:
     c["grasp_id"] = np.array([f"{i:015x}{solid.object_id[3]}" for i in numbers])
     c["object_id"] = np.array([solid.object_id] * n)
     c["size_mm"][:] = np.where(numbers % 2, 500, 300)
+    c["size"][:] = c["size_mm"] / 1000
     c["scene_id"] = np.array([f"{solid.object_id}/{s}/float" for s in c["size_mm"]])
     c["setting"] = np.array(["floating"] * n)
     c["object_pos"][:] = 0

@@ -60,6 +60,16 @@ def test_an_object_is_drawn_at_its_size_and_pose(solid):
     assert parts[0].colour != parts[1].colour
 
 
+def test_a_grasp_shows_its_object_at_the_exact_size(batch, solid, hands):
+    between = dataclasses.replace(
+        batch, columns=batch.columns | {"size": batch.size * np.float32(1.001)}
+    )
+    for rows in (batch, between):
+        drawn = next(p for p in grasp_parts(rows, 0, solid, hands) if p.label == "object")
+        diagonal = np.linalg.norm(np.ptp(drawn.vertices, axis=0))
+        assert diagonal == pytest.approx(float(rows.size[0]), rel=1e-5)
+
+
 def test_contacts_are_marked_where_the_record_has_them(batch):
     parts = contact_parts(batch, 0)
     points = batch["contact_point"][0].reshape(-1, 3)
