@@ -276,7 +276,8 @@ class Page:
         self._aimed_at = (self.solid.object_id, size)
         # The hands reach about 0.2 m beyond the object on both sides.
         away = 0.5 * (size + (0.45 if hands else 0.1)) / np.tan(0.5 * FIELD_OF_VIEW)
-        self._aim(centre + away * side_direction(hands), centre)
+        seen = [centre, *hands] if len(hands) == 1 else hands
+        self._aim(centre + away * side_direction(seen), centre)
 
 
 def _direction(label: str) -> int:

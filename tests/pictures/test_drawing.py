@@ -141,6 +141,24 @@ def test_both_hands_are_seen_on_opposite_sides(batch, solid, hands):
     assert abs(left - right) > 40
 
 
+def test_one_hand_and_its_object_are_both_seen_on_opposite_sides(solid, hands):
+    batch = grasps(hands[1:], solid)
+    for row in range(len(batch) - 1):
+        parts = grasp_parts(batch, row, solid, hands[1:])
+        assert {p.label for p in parts} >= {"object", "right"}
+        hand, whole = (next(p for p in parts if p.label == x) for x in ("right", "object"))
+        across = hand.vertices.mean(axis=0) - whole.vertices.mean(axis=0)
+        (direction,) = choose_views(parts, RayScene(parts), 1)
+        assert abs(direction @ across) / np.linalg.norm(across) < 0.5
+        pixels = draw_grasp(batch, row, solid, hands[1:], width=120, height=90, contacts=False)
+        r, g, b = (pixels[..., k].astype(int) for k in range(3))
+        green, sand = (g > r + 30) & (g > b + 15), (r > g + 10) & (g > b + 25)
+        assert green.sum() > 300
+        assert sand.sum() > 300
+    frames = draw_stages(batch, 0, solid, hands[1:], ("pregrasp", "squeeze"), width=60, height=48)
+    assert (frames[0] != frames[1]).any()
+
+
 def test_the_side_direction_is_across_the_hands_and_always_defined():
     rng = np.random.default_rng(3)
     pairs = [*rng.normal(size=(20, 2, 3)), np.array([[0, 0, 1], [0, 0, -1]]), np.zeros((2, 3))]
