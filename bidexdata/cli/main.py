@@ -18,6 +18,7 @@ os.environ.setdefault("TYPER_USE_RICH", "0")
 import typer
 
 from bidexdata.cli.demo import demo
+from bidexdata.cli.import_ import import_
 from bidexdata.cli.info import info
 from bidexdata.cli.names import hands, presets, protocols
 from bidexdata.cli.pack import pack
@@ -37,6 +38,7 @@ COMMANDS = {
     "prepare": prepare,
     "synth": synth,
     "validate": validate,
+    "import": import_,
     "pack": pack,
     "view": view,
     "render": render,

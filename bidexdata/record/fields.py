@@ -57,7 +57,7 @@ _ALL = (
     _f("object_pos", "float32", "3", "m", "world", "synth", "grasps", "origin of the object frame"),
     _f("object_quat_wxyz", "float32", "4", "", "world", "synth", "grasps", "orientation of the object frame, unit, w >= 0"),
     _f("sides", "int8", "H", "", "", "synth", "grasps", "side of each hand: 0 left, 1 right"),
-    _f("attempt", "int32", "", "", "", "synth", "grasps", "number of the attempt within its scene"),
+    _f("attempt", "int32", "", "", "", "synth", "grasps", "number of the attempt within its scene; imported rows are numbered as they come"),
     _f("source_ref", "string", "", "", "", "import", "grasps", "file (and #row) an imported grasp came from; empty otherwise"),
     # pose
     _f("hand_pos", "float32", "H S 3", "m", "world", "synth", "grasps", "origin of the hand frame (root body) per stage"),

@@ -80,6 +80,7 @@ def describe_run(run: Run) -> dict[str, Any]:
         "hand": spec.hand,
         "preset": spec.preset,
         "setting": spec.setting,
+        **_imported(run),
         "sizes_mm": list(spec.sizes_mm),
         "grasps": spec.grasps,
         "candidates": spec.candidates,
@@ -90,6 +91,22 @@ def describe_run(run: Run) -> dict[str, Any]:
         "figures": run_figures(run, protocols[0]),
         "protocols": {p: run_figures(run, p) for p in protocols if p},
     }
+
+
+def _imported(run: Run) -> dict[str, Any]:
+    """What became of the files of an imported run; nothing for other runs."""
+    if run.spec.kind != "import":
+        return {}
+    from bidexdata.runs.import_scan import read_files
+
+    files = read_files(run.path)
+    told = [{"file": f.file, "reason": f.reason} for f in files if f.reason]
+    counts = {
+        "read": sum(not f.failed for f in files),
+        "failed": sum(f.failed for f in files),
+        "left_out": sum(f.left_out for f in files),
+    }
+    return {"files": {**counts, "failures": told}}
 
 
 def run_figures(run: Run, protocol: str) -> dict[str, Any]:

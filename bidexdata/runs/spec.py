@@ -156,6 +156,16 @@ def relative_to_run(path: Path, folder: Path) -> str:
     return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
 
 
+def portable_hand(hand: str, folder: Path) -> str:
+    """What `--hand` was, with paths of specs relative to the run."""
+    names = [n.strip() for n in hand.split(",")]
+    is_file = [n.endswith((".yaml", ".yml")) for n in names]
+    return ",".join(
+        relative_to_run(Path(n), folder) if file else n
+        for n, file in zip(names, is_file, strict=True)
+    )
+
+
 def package_versions() -> dict[str, str]:
     """Versions of the packages that decide results."""
     from importlib.metadata import PackageNotFoundError, version

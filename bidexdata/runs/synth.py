@@ -33,6 +33,7 @@ from bidexdata.runs.spec import (
     RunSpec,
     grown,
     package_versions,
+    portable_hand,
     read_spec,
     relative_to_run,
     write_spec,
@@ -158,7 +159,7 @@ def _wanted(library: Library, out: Path, request: SynthRequest, old: RunSpec | N
     return RunSpec(
         preset=request.preset,
         config=to_plain(request.config),
-        hand=_portable_hand(request.hand, out),
+        hand=portable_hand(request.hand, out),
         hands=tuple(h.header() for h in hands),
         sizes_mm=tuple(sorted(set(request.sizes_mm))),
         setting=request.setting,
@@ -167,14 +168,6 @@ def _wanted(library: Library, out: Path, request: SynthRequest, old: RunSpec | N
         seed=request.seed,
         rounds=(Round(grasps, candidates),),
         versions=package_versions(),
-    )
-
-
-def _portable_hand(hand: str, out: Path) -> str:
-    names = [n.strip() for n in hand.split(",")]
-    is_file = [n.endswith((".yaml", ".yml")) for n in names]
-    return ",".join(
-        relative_to_run(Path(n), out) if file else n for n, file in zip(names, is_file, strict=True)
     )
 
 

@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from bidexdata.errors import NotUsable
 from bidexdata.formats.importers.format import (
     BadFile,
     FloatArray,
