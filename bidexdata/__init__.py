@@ -33,6 +33,7 @@ _PUBLIC = {
     "validate_grasps": "bidexdata.validation.validate",
     "validate_run": "bidexdata.runs.validate",
     "verify_release": "bidexdata.formats.verify",
+    "write_table": "bidexdata.runs.table",
 }
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from bidexdata.runs.prepare import prepare_library as prepare_library
     from bidexdata.runs.run import Run as Run
     from bidexdata.runs.synth import synth_library as synth_library
+    from bidexdata.runs.table import write_table as write_table
     from bidexdata.runs.validate import validate_run as validate_run
     from bidexdata.synthesis.pipeline import synthesize as synthesize
     from bidexdata.validation.protocols import load_protocol as load_protocol

@@ -25,6 +25,7 @@ from bidexdata.cli.pack import pack
 from bidexdata.cli.prepare import prepare
 from bidexdata.cli.render import render
 from bidexdata.cli.synth import synth
+from bidexdata.cli.table import table
 from bidexdata.cli.validate import validate
 from bidexdata.cli.verify import verify
 from bidexdata.cli.view import view
@@ -43,6 +44,7 @@ COMMANDS = {
     "view": view,
     "render": render,
     "info": info,
+    "table": table,
     "verify": verify,
     "hands": hands,
     "protocols": protocols,
