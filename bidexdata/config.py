@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from bidexdata.errors import BadConfig, PathNotFound, UnknownKey
+from bidexdata.errors import BadConfig, PathNotFound, UnknownChoice, UnknownKey
 
 T = TypeVar("T")
 
@@ -89,11 +89,12 @@ def with_overrides(config: T, assignments: Sequence[str]) -> T:
     Raises:
         BadConfig: An assignment has no `=` or a value does not fit.
         UnknownKey: A key does not exist.
+        UnknownChoice: A value is none of the words that its key takes.
     """
     plain = to_plain(config)
     for assignment in assignments:
         key, sep, text = assignment.partition("=")
-        if not sep:
+        if not (sep and key.strip()):
             raise BadConfig(
                 f"--set {assignment!r}: write KEY=VALUE, for example regions.anchors=100"
             )
@@ -169,7 +170,7 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
         return {str(k): _convert(args[1], v, f"{where}.{k}") for k, v in value.items()}
     if origin is typing.Literal:
         if value not in args:
-            raise BadConfig(f"{where} must be one of {', '.join(map(str, args))}, not {value!r}")
+            raise UnknownChoice(where, value, args)
         return value
     return _scalar_of(hint, value, where)
 

@@ -1,4 +1,4 @@
-"""Start Warp once, quietly.
+"""Start Warp once, quietly, and say which devices there are.
 
 Warp needs `wp.init()` before torch interoperability and device queries. Its banner, and the notice
 of its native library that there is no CUDA driver, would otherwise land among a command's output.
@@ -10,6 +10,8 @@ import os
 import sys
 import tempfile
 from functools import cache
+
+from bidexdata.errors import NotUsable
 
 _NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 
@@ -34,3 +36,20 @@ def start_warp() -> None:
         for line in heard:
             if _NO_DRIVER not in line:
                 os.write(2, line)
+
+
+def check_device(device: str) -> None:
+    """Refuse a device that this machine does not have.
+
+    Raises:
+        NotUsable: Names the devices that there are.
+    """
+    if device == "cpu":
+        return
+    start_warp()
+    import warp as wp
+
+    names = [d.alias for d in wp.get_devices()]
+    if device not in names and not (device == "cuda" and len(names) > 1):
+        known = ", ".join(names)
+        raise NotUsable(f"no device is called {device!r} here; this machine has: {known}")

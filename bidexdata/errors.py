@@ -45,7 +45,22 @@ class UnknownName(NotUsable):
 
 
 class BadConfig(NotUsable):
-    """A configuration value or key is impossible."""
+    """A configuration, spec or expression is impossible."""
+
+
+class BadValue(BadConfig):
+    """A value given on the command line is no number, is malformed, or lies outside its range."""
+
+    exit_code = 2
+
+
+class UnknownChoice(BadConfig):
+    """A configuration key is set to none of the words that it takes."""
+
+    def __init__(self, where: str, value: object, known: Iterable[object]):
+        self.where, self.value, self.known = where, value, tuple(known)
+        listed = ", ".join(map(str, self.known))
+        super().__init__(f"{where} must be one of {listed}, not {value!r}")
 
 
 class UnknownKey(BadConfig):

@@ -7,11 +7,18 @@ from typing import Any
 
 from bidexdata.cli.report import counts_text, millimetres, percent, share, table
 
+KEPT_MEANS = "kept = selected grasps / grasps wanted"
+LEGEND = (
+    f"{KEPT_MEANS}; selected = passed / kept grasps; unselected = passed / attempts drawn before "
+    "any filter; PD, SPD = deepest overlap hand-object, within and between hands; "
+    "CDC = range of finger-object distances"
+)
+
 
 def figure_lines(
     figures: Mapping[str, Any], protocol: str = "", untested: str = "not validated yet"
 ) -> list[str]:
-    """Counts, rates over everything, then one line per size.
+    """Counts, rates over everything, one line per size, and what the words mean.
 
     Args:
         figures: From `formats.figures`.
@@ -45,7 +52,9 @@ def figure_lines(
         kept = figures["kept"]
         wanted = "" if kept is None else f"kept {share(kept)} of the wanted grasps; "
         lines.append(wanted + untested)
-    return lines + _by_size(figures, list(tested))
+    legend = LEGEND if tested else KEPT_MEANS
+    known = figures["kept"] is not None
+    return [*lines, *_by_size(figures, list(tested)), *([legend] if known else [])]
 
 
 def _by_size(figures: Mapping[str, Any], tests: list[str]) -> list[str]:

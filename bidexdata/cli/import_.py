@@ -8,7 +8,7 @@ from typing import Annotated, Any, cast
 import typer
 
 from bidexdata.cli import options
-from bidexdata.cli.report import command, counts_text, finish, warn
+from bidexdata.cli.report import command, counts_text, finish, warn_of_failed
 
 _SHOWN = 10
 """Failed files that are printed; all are in the run's files.parquet and in --json."""
@@ -81,12 +81,7 @@ def import_(
         "failures": [{"file": f.file, "reason": f.reason} for f in report.files if f.reason],
         "seconds": round(report.seconds, 3),
     }
-    if stage.failures:
-        warn(
-            f"{len(stage.failures)} of {stage.tasks} objects failed (first: "
-            f"{stage.failures[0].reason}); {out}/logs has the details, and the same command tries "
-            "them again"
-        )
+    warn_of_failed(stage, out)
     told = [f for f in report.files if f.reason]
     lines = [f"{f.file}: {f.reason}" for f in told[:_SHOWN]]
     if len(told) > _SHOWN:

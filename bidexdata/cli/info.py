@@ -9,7 +9,7 @@ import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.figures import figure_lines
-from bidexdata.cli.report import command, counts_text, finish
+from bidexdata.cli.report import command, counts_text, finish, no_scene_text
 
 
 def info(
@@ -27,9 +27,11 @@ def info(
     An imported run has the key files too: read, failed, left_out (grasps), failures (file, reason).
 
     --json keys: kind, path and, for a library: fingerprint, inputs, objects, hulls, by_status,
-    failures; a run: fingerprint, hand, preset, setting, sizes_mm, grasps, candidates, seed,
-    objects, tasks, done (per stage), figures, protocols; a release: name, version,
-    schema_version, default_protocol, tests, splits, hands, figures.
+    failures; a run: fingerprint, hand, preset, setting, rest_poses, without_scene (objects that no
+    scene could be made of), sizes_mm, grasps, candidates, seed, objects, tasks, done (per stage),
+    made_with (per stage: a list of tasks, device, device_name and package versions), figures,
+    protocols; a release: name, version, schema_version, default_protocol, tests, splits, hands,
+    figures.
     """
     from bidexdata.runs.info import describe
 
@@ -62,8 +64,11 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
             f"imported from {files['read']} files; {files['failed']} files and "
             f"{files['left_out']} grasps could not be used"
         )
+    if data["without_scene"]:
+        lines.append(no_scene_text(data["without_scene"]))
     for stage, done in data["done"].items():
         lines.append(f"{stage}: {done} of {data['tasks']} tasks done")
+        lines += [_made_with_line(kind) for kind in data["made_with"][stage]]
     if not data["protocols"]:
         return lines + figure_lines(data["figures"])
     for protocol, figures in data["protocols"].items():
@@ -76,6 +81,17 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
                 f"({tested} are); the rates leave them out"
             )
     return lines
+
+
+def _made_with_line(kind: dict[str, Any]) -> str:
+    """`  12 tasks on cpu (name of the processor) with bidexdata 0.1.0, mujoco 3.3.0, ...`."""
+    versions = dict(kind)
+    tasks, device = versions.pop("tasks"), versions.pop("device", "")
+    name = versions.pop("device_name", "")
+    if not device:
+        return f"  {tasks} tasks on a device that their shards do not name"
+    packages = ", ".join(f"{package} {number}" for package, number in versions.items())
+    return f"  {tasks} tasks on {device} ({name}) with {packages}"
 
 
 def _release_lines(data: dict[str, Any]) -> list[str]:

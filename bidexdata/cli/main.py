@@ -56,8 +56,8 @@ app = typer.Typer(
     name="bidexdata",
     help="Turn mesh files into published, verified, trainable datasets of two-handed grasps.",
     epilog=(
-        "Exit codes: 0 done; 1 a bug; 2 bad command line; 3 something named does not exist or "
-        "cannot be used; 4 a release or library contradicts its manifest; 5 another configuration; "
+        "Exit codes: 0 done; 1 a bug; 2 an option or value that cannot be read or is out of range; "
+        "3 something named does not exist or cannot be used; 4 a release or library contradicts its manifest; 5 another configuration; "
         "6 nothing succeeded; 130 interrupted."
     ),
     no_args_is_help=True,

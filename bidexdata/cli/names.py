@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
 from bidexdata.cli import options
-from bidexdata.cli.report import finish, table
+from bidexdata.cli.report import command, finish, table
+
+if TYPE_CHECKING:
+    from bidexdata.cli.config_keys import ConfigGroup
+
+PREPARE = "prepare"
+"""Stands for the configuration of `bidexdata prepare` where a preset is named."""
 
 
 def hands(
@@ -50,12 +60,32 @@ def protocols(
 
 
 def presets(
-    as_json: options.Json = False, quiet: options.Quiet = False, debug: options.Debug = False
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[NAME]",
+            help="A preset, or `prepare`: list every key that --set and --config take.",
+        ),
+    ] = None,
+    as_json: options.Json = False,
+    quiet: options.Quiet = False,
+    debug: options.Debug = False,
 ) -> None:
-    """List the presets of synth, and what each changes.
+    """List the presets of synth and what each changes, or every key of one.
 
-    --json keys: presets (a list of name, description, changes: key, value, reason).
+    With NAME: key, value, unit and meaning, and in brackets where the value is from. The name
+    `prepare` stands for the configuration of `bidexdata prepare`, which has no presets.
+
+    --json keys: presets (a list of name, description, changes: key, value, reason); with NAME:
+    name, description, groups (a list of name, meaning, keys: key, value, unit, meaning, source).
     """
+    if name is None:
+        _list_presets(as_json=as_json, quiet=quiet)
+    else:
+        _list_keys(name, as_json=as_json, quiet=quiet)
+
+
+def _list_presets(*, as_json: bool, quiet: bool) -> None:
     from bidexdata.synthesis.presets import describe_preset, preset_names
 
     known = {name: describe_preset(name) for name in preset_names()}
@@ -72,4 +102,49 @@ def presets(
         lines.append(f"{name}: {preset.sentence}")
         rows = [[f"  {c.key}", str(c.value), c.reason] for c in preset.changes]
         lines += table(rows) if rows else []
+    lines.append(f"every key of a preset: {command('presets', 'NAME')}")
+    lines.append(f"every key of prepare: {command('presets', PREPARE)}")
     finish({"presets": found}, lines, as_json=as_json, quiet=quiet)
+
+
+def _list_keys(name: str, *, as_json: bool, quiet: bool) -> None:
+    description, groups = _prepare_keys() if name == PREPARE else _preset_keys(name)
+    data = {
+        "name": name,
+        "description": description,
+        "groups": [
+            {"name": g.name, "meaning": g.meaning, "keys": [k._asdict() for k in g.keys]}
+            for g in groups
+        ],
+    }
+    lines = [f"{name}: {description}"]
+    rows = table([key.cells() for group in groups for key in group.keys])
+    for group in groups:
+        lines += ["", f"{group.name}: {group.meaning}"]
+        lines += ["  " + row for row in rows[: len(group.keys)]]
+        rows = rows[len(group.keys) :]
+    finish(data, lines, as_json=as_json, quiet=quiet)
+
+
+def _prepare_keys() -> tuple[str, list[ConfigGroup]]:
+    from bidexdata.cli.config_keys import config_groups
+    from bidexdata.objects.config import PrepareConfig
+
+    description = (
+        "the configuration of `bidexdata prepare`; lengths without a unit are fractions of the "
+        "mesh's bounding-box diagonal"
+    )
+    return description, list(config_groups(PrepareConfig()))
+
+
+def _preset_keys(name: str) -> tuple[str, list[ConfigGroup]]:
+    from bidexdata.cli.config_keys import config_groups
+    from bidexdata.synthesis.presets import describe_preset, load_preset, source_of
+
+    preset, config = describe_preset(name), load_preset(name)
+    reasons = {change.key: f"{name}: {change.reason}" for change in preset.changes}
+    groups = []
+    for group in config_groups(config):
+        keys = (k._replace(source=reasons.get(k.key, k.source) or source_of(k.key)) for k in group.keys)
+        groups.append(group._replace(keys=tuple(keys)))
+    return preset.sentence, groups

@@ -26,11 +26,20 @@ Shard = Annotated[
 Seed = Annotated[int, typer.Option(min=0, help="Seed of every random draw.")]
 ConfigFile = Annotated[
     Path | None,
-    typer.Option("--config", metavar="FILE", help="YAML file with changes to the configuration."),
+    typer.Option(
+        "--config",
+        metavar="FILE",
+        help="YAML file with changes to the configuration, nested as `bidexdata presets NAME` shows.",
+    ),
 ]
 Assignments = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change one key of it; may be repeated."),
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change one key of it; may be repeated. The keys: `bidexdata presets default` for "
+        "synth, `bidexdata presets prepare` for prepare.",
+    ),
 ]
 Json = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on standard output, nothing else.")
@@ -79,9 +88,23 @@ def parse_words(text: str) -> tuple[str, ...]:
 
 
 def configured(base: T, config: Path | None, assignments: list[str] | None) -> T:
-    """Apply `--config FILE`, then every `--set KEY=VALUE`, to a configuration."""
-    from bidexdata.config import from_plain, load_yaml, merge, to_plain, with_overrides
+    """Apply `--config FILE`, then every `--set KEY=VALUE`, to a configuration.
 
-    if config is not None:
-        base = from_plain(type(base), merge(to_plain(base), load_yaml(config)), str(config))
-    return with_overrides(base, assignments) if assignments else base
+    Raises:
+        BadValue: A value is malformed or outside its range, as for an option of its own.
+        UnknownKey: A key does not exist.
+        UnknownChoice: A value is none of the words that its key takes.
+        NotUsable: The file does not exist or is no YAML mapping.
+    """
+    from bidexdata.config import from_plain, load_yaml, merge, to_plain, with_overrides
+    from bidexdata.errors import BadConfig, BadValue, UnknownChoice, UnknownKey
+
+    changes = {} if config is None else load_yaml(config)
+    try:
+        if changes:
+            base = from_plain(type(base), merge(to_plain(base), changes), str(config))
+        return with_overrides(base, assignments or [])
+    except (UnknownKey, UnknownChoice):
+        raise
+    except BadConfig as err:
+        raise BadValue(str(err)) from err

@@ -16,7 +16,7 @@ def render(
     out: Annotated[
         Path,
         typer.Option(
-            metavar="FILE", help="Contact sheet (.png .jpg .webp), animation (.gif .png)."
+            metavar="FILE", help="Contact sheet (.png .jpg .webp), animation (.mp4 .gif .png)."
         ),
     ],
     only: Annotated[
@@ -37,8 +37,8 @@ def render(
 
     Grasps are spread over objects and sizes; the same seed chooses the same ones. Selected grasps
     are shown, with --only failure audit grasps too. Left hand blue, right hand green, contacts and
-    their outward normals red. A library shows its objects. An animation (--video) is an animated
-    GIF or PNG: nothing that writes MP4 comes with the package.
+    their outward normals red, the table grey. A library shows its objects. An animation (--video)
+    is an MP4 (H.264), a GIF or an animated PNG.
 
     --json keys: out, kind, n, shown (ids of grasps or objects), drawn_by, seconds.
     """

@@ -5,9 +5,13 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from bidexdata.record import GraspBatch
+    from bidexdata.runs.stage import StageReport
 
 
 def finish(
@@ -48,10 +52,46 @@ def warn(text: str) -> None:
     print(text, file=sys.stderr)
 
 
+def warn_of_failed(report: StageReport, run: Path) -> None:
+    """Say on standard error how many tasks failed, why the first did, and what to do."""
+    if report.failures:
+        warn(
+            f"{len(report.failures)} of {report.tasks} tasks failed "
+            f"(first: {report.failures[0].reason}); "
+            f"{run / 'logs'} has the details, and the same command tries them again"
+        )
+
+
+def refuse_nothing(now: int, batches: Iterable[GraspBatch], column: str, sentence: str) -> None:
+    """End the command with exit code 6 unless some row is a success.
+
+    Rows of earlier calls count too: the exit code must not depend on how often one asks.
+
+    Args:
+        now: Successes of this call; `batches` is read only when there are none.
+        batches: All rows that there are.
+        column: The boolean column that says success.
+        sentence: What to say otherwise.
+
+    Raises:
+        NothingSucceeded: There is none.
+    """
+    from bidexdata.errors import NothingSucceeded
+
+    if not now and not any(batch[column].any() for batch in batches):
+        raise NothingSucceeded(sentence)
+
+
 def counts_text(counts: Mapping[str, int]) -> str:
     """`12 ok, 3 no_placement`, largest first."""
     ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
     return ", ".join(f"{n} {label}" for label, n in ordered) or "none"
+
+
+def no_scene_text(object_ids: Sequence[str]) -> str:
+    """Say that objects have no rest pose, and name the first."""
+    rest = "objects have" if len(object_ids) > 1 else "object has"
+    return f"no scene: {len(object_ids)} {rest} no rest pose (first: {object_ids[0]})"
 
 
 def percent(rate: Mapping[str, Any] | None) -> str:

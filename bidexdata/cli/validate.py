@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from bidexdata.cli import options
-from bidexdata.cli.report import command, counts_text, finish, warn
+from bidexdata.cli.report import command, counts_text, finish, refuse_nothing, warn_of_failed
+
+if TYPE_CHECKING:
+    from bidexdata.runs.run import Run
+    from bidexdata.runs.stage import Execution
+    from bidexdata.runs.validate import Extra
+    from bidexdata.validation.protocols import Protocol
 
 
 def validate(
     path: Annotated[Path, typer.Argument(metavar="RUN|RELEASE", help="What to test.")],
-    protocol: Annotated[str, typer.Option(help="`bidexdata protocols` lists them.")] = "paper-1",
+    protocol: Annotated[
+        str, typer.Option(help="`bidexdata protocols` lists them; a YAML file of your own works.")
+    ] = "paper-1",
     tests: Annotated[
         str, typer.Option(help="f, l, a separated by commas; by default what the rows allow.")
     ] = "",
@@ -21,40 +30,88 @@ def validate(
         Path | None,
         typer.Option(metavar="RUN2", help="For a release: the run that gets the new verdicts."),
     ] = None,
+    load_margin: Annotated[
+        bool,
+        typer.Option("--load-margin", help="Measure the load margin too (about ten times slower)."),
+    ] = False,
+    analytic: Annotated[
+        bool, typer.Option("--analytic", help="Compute Q1 and the QP certificate too.")
+    ] = False,
+    replay: Annotated[
+        str | None,
+        typer.Option(metavar="GRASP_ID", help="Test one grasp of a run again and look on."),
+    ] = None,
+    video: Annotated[
+        Path | None, typer.Option(metavar="FILE.mp4", help="With --replay: film it.")
+    ] = None,
     workers: options.Workers = 0,
     executor: options.ExecutorName = "processes",
     shard: options.Shard = None,
+    config: options.ConfigFile = None,
+    assignments: options.Assignments = None,
     as_json: options.Json = False,
     quiet: options.Quiet = False,
     debug: options.Debug = False,
 ) -> None:
     """Test grasps in simulation by a named protocol.
 
-    Grasps that have a verdict are left alone, so the same command goes on after a stop.
+    Grasps that have a verdict are left alone, so the same command goes on after a stop. --config
+    and --set change settings of the protocol, which then needs a name of its own (--set name=NAME).
 
     --json keys: run, protocol, seconds and, per test in `tests`: tasks, tasks_before,
     tasks_failed, n, success, by_status, seconds. n, success and by_status count this call only.
+    With --replay: grasp_id, protocol, test, success, status, failed_stage, direction,
+    stored_status, seconds_simulated, frames, video.
     """
-    from bidexdata.errors import NothingSucceeded, NotUsable
-    from bidexdata.runs.retest import start_retest
-    from bidexdata.runs.run import Run
-    from bidexdata.runs.validate import validate_run
     from bidexdata.validation.protocols import load_protocol
 
-    rules = load_protocol(protocol)
+    rules = _renamed(load_protocol(protocol), config, assignments)
+    named = options.parse_words(tests)
+    if replay is not None:
+        _replay(path, replay, rules, named, video, as_json=as_json, quiet=quiet)
+        return
+    if video is not None:
+        raise typer.BadParameter("--video films one grasp: name it with --replay GRASP_ID")
     execution = options.execution_of(executor, workers, shard, quiet)
-    if (path / "manifest.json").exists():
+    wanted: dict[Extra, bool] = {"load_margin": load_margin, "analytic": analytic}
+    extras: list[Extra] = [name for name, asked in wanted.items() if asked]
+    _validate(
+        _run_of(path, out), rules, named, execution, extras, as_json=as_json, quiet=quiet
+    )
+
+
+def _run_of(path: Path, out: Path | None) -> Run:
+    """The run to test: the one at `path`, or one that holds the rows of a release."""
+    from bidexdata.errors import NotUsable
+    from bidexdata.kinds import expect_kind
+    from bidexdata.runs.retest import start_retest
+    from bidexdata.runs.run import Run
+
+    if expect_kind(path, "run", "release") == "release":
         if out is None:
             raise NotUsable(f"{path} is a release and never changed; name a run with --out RUN2")
-        run = start_retest(path, out)
-    else:
-        if out is not None:
-            raise NotUsable(f"--out is for releases; the verdicts of {path} are stored in it")
-        run = Run.open(path)
-    reports = validate_run(run, rules, options.parse_words(tests), execution=execution)
+        return start_retest(path, out)
+    if out is not None:
+        raise NotUsable(f"--out is for releases; the verdicts of {path} are stored in it")
+    return Run.open(path)
+
+
+def _validate(
+    run: Run,
+    rules: Protocol,
+    tests: Sequence[str],
+    execution: Execution,
+    extras: Sequence[Extra],
+    *,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    from bidexdata.runs.validate import validate_run
+
+    reports = validate_run(run, rules, tests, execution=execution, extras=extras)
     data: dict[str, Any] = {
         "run": str(run.path),
-        "protocol": protocol,
+        "protocol": rules.name,
         "seconds": round(sum(r.seconds for r in reports.values()), 3),
         "tests": {},
     }
@@ -73,19 +130,65 @@ def validate(
             f"test {test}: {report.good} of {report.rows} rows pass "
             f"({counts_text(report.by_status)}) in {report.seconds:.1f} s"
         )
-        if report.failures:
-            warn(
-                f"{len(report.failures)} of {report.tasks} tasks failed (first: "
-                f"{report.failures[0].reason}); the same command tries them again"
-            )
+        warn_of_failed(report, run.path)
     following = command("info", run.path)
     if run.spec.kind == "synth":
         following = command(
             *("pack", run.path, "--out", "RELEASE", "--name", "NAME", "--version", "1.0.0")
         )
     finish(data, lines, following=following, as_json=as_json, quiet=quiet)
-    # Rows of earlier calls count too: the exit code must not depend on how often one asks.
-    if not any(r.good for r in reports.values()) and not any(
-        batch.success.any() for test in reports for batch in run.batches(protocol, test)
-    ):
-        raise NothingSucceeded(f"{run.path}: not one grasp passed; `bidexdata info` says why")
+    refuse_nothing(
+        sum(r.good for r in reports.values()),
+        (batch for test in reports for batch in run.batches(rules.name, test)),
+        "success",
+        f"{run.path}: not one grasp passed; `{command('info', run.path)}` says why",
+    )
+
+
+def _replay(
+    path: Path,
+    grasp_id: str,
+    rules: Protocol,
+    tests: Sequence[str],
+    video: Path | None,
+    *,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    from bidexdata.kinds import expect_kind
+    from bidexdata.runs.replay import replay_grasp
+    from bidexdata.runs.run import Run
+    from bidexdata.runs.validate import allowed_tests
+    from bidexdata.validation.protocols import DIRECTIONS
+
+    expect_kind(path, "run")
+    run = Run.open(path)
+    test = allowed_tests(run, rules, tests)[-1]
+    report = replay_grasp(run, grasp_id, rules, test, video)
+    v = report.verdict
+    where = f" in load {DIRECTIONS[v.direction]}" if v.direction >= 0 else ""
+    failed = f" ({v.failed_stage.label}{where}, after {v.time:.2f} s)" if v.failed_stage >= 0 else ""
+    lines = [f"grasp {grasp_id}, test {test} of {rules.name}: {v.status.sentence}{failed}"]
+    if report.stored is not None:
+        lines.append(f"the run says: {report.stored}")
+    if report.video is not None:
+        lines.append(f"{len(report.moments)} pictures in {report.video}")
+    finish(report.as_dict(), lines, as_json=as_json, quiet=quiet)
+
+
+
+
+
+def _renamed(
+    protocol: Protocol, config: Path | None, assignments: list[str] | None
+) -> Protocol:
+    """Change settings of a protocol; refuse to do that under its own name."""
+    from bidexdata.errors import BadConfig
+
+    changed = options.configured(protocol, config, assignments)
+    if changed != protocol and changed.name == protocol.name:
+        raise BadConfig(
+            f"--set and --config change protocol {protocol.name!r}, and other settings are another "
+            "name: add --set name=NAME"
+        )
+    return changed

@@ -15,8 +15,8 @@ from typing import Any
 
 from bidexdata.config import canonical_json
 from bidexdata.errors import Contradiction
+from bidexdata.kinds import MANIFEST
 
-MANIFEST = "manifest.json"
 MANIFEST_HASH = "manifest.sha256"
 FORMAT = "bidexdata-release"
 _BLOCK = 1 << 20

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.errors import Contradiction, PathNotFound, UnknownName
+from bidexdata.errors import Contradiction, UnknownName
 from bidexdata.formats import parquet
 from bidexdata.formats.clouds import CLOUDS, open_cloud
 from bidexdata.formats.manifest import MANIFEST, read_manifest
@@ -25,6 +25,7 @@ from bidexdata.formats.rows import TestKey
 from bidexdata.formats.tables import CONFIGURATIONS, GRASP_COLUMNS, VERDICT_COLUMNS
 from bidexdata.formats.writer import ReleaseSummary as ReleaseSummary
 from bidexdata.formats.writer import write_release as write_release
+from bidexdata.kinds import expect_kind
 from bidexdata.objects.library import object_folder
 from bidexdata.objects.storage import read_solid
 from bidexdata.record import GraspBatch, HandHeader, Header
@@ -57,10 +58,7 @@ class Release:
             Contradiction: The manifest is damaged, or the schema is newer than this package.
         """
         path = Path(path)
-        if not path.is_dir() or not (path / MANIFEST).exists():
-            raise PathNotFound(
-                path / MANIFEST, "the manifest of a release (made by `bidexdata pack`)"
-            )
+        expect_kind(path, "release")
         manifest = read_manifest(path)
         try:
             header = Header.from_json(manifest["header"])
@@ -95,6 +93,11 @@ class Release:
     def protocols(self) -> tuple[TestKey, ...]:
         """The (protocol, test) pairs that have a verdict table."""
         return tuple((p, t) for p, t in self.manifest["tests"])
+
+    @property
+    def protocol_settings(self) -> dict[str, Any]:
+        """Settings of every protocol that has verdicts, plain data by name."""
+        return self.manifest.get("protocols", {})
 
     @property
     def figures(self) -> dict[str, Any]:

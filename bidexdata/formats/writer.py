@@ -10,14 +10,14 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from bidexdata.errors import NotUsable
+from bidexdata.errors import BadValue, NotUsable
 from bidexdata.formats import clouds, hdf5, parquet, tables
 from bidexdata.formats.card import write_card
 from bidexdata.formats.figures import Tally
@@ -77,6 +77,7 @@ def write_release(
     runs: Sequence[RunInfo],
     tests: Sequence[TestKey],
     default_protocol: str = "paper-1",
+    protocols: Mapping[str, Any] | None = None,
     seed: int = 0,
     test_fraction: float = 0.2,
     cloud_points: int = 2048,
@@ -96,6 +97,7 @@ def write_release(
         runs: The runs that the rows come from.
         tests: The (protocol, test) verdict tables to write.
         default_protocol: Whose verdicts become `suc_f`, `suc_l`, `suc_a` and the metrics.
+        protocols: Settings of every protocol of `tests`, plain data by name.
         seed: Seed of the split.
         test_fraction: Share of objects in the split `test` [-].
         cloud_points: Points per object and cloud.
@@ -104,12 +106,13 @@ def write_release(
         on_object: Called after each object's rows, for progress.
 
     Raises:
-        NotUsable: The target is not empty, a name or version cannot be used, rows are of another
-            hand, or the same grasp is there twice.
+        BadValue: The name or version cannot be used.
+        NotUsable: The target is not empty, rows are of another hand, or the same grasp is there
+            twice.
         BadRecord: Rows are not those of their object, or of a test that was not announced.
     """
     out = Path(out)
-    _check_names(out, name, version, form)
+    check_names(out, name, version, form)
     partial = out.parent / f".{out.name}.partial"
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
@@ -131,6 +134,7 @@ def write_release(
         "generator": {"name": "bidexdata", "version": header.version},
         "header": header.to_json(),
         "default_protocol": default_protocol,
+        "protocols": dict(protocols or {}),
         "tests": [list(key) for key in sorted(tests)],
         "configurations": list(CONFIGURATIONS),
         "splits": [[s, sum(1 for v in splits.values() if v == s)] for s in SPLITS],
@@ -144,11 +148,17 @@ def write_release(
     return ReleaseSummary(out, figures)
 
 
-def _check_names(out: Path, name: str, version: str, form: str) -> None:
+def check_names(out: Path, name: str, version: str, form: str) -> None:
+    """Refuse what a release cannot be called or where it cannot be written.
+
+    Raises:
+        BadValue: The version is not X.Y.Z, or the name has other characters.
+        NotUsable: No form is called so, or `out` holds something.
+    """
     if not _VERSION.fullmatch(version):
-        raise NotUsable(f"version {version!r} cannot be used; write X.Y.Z, for example 1.0.0")
+        raise BadValue(f"version {version!r} cannot be used; write X.Y.Z, for example 1.0.0")
     if not _NAME.fullmatch(name):
-        raise NotUsable(f"name {name!r} cannot be used; use letters, digits, '.', '_' and '-'")
+        raise BadValue(f"name {name!r} cannot be used; use letters, digits, '.', '_' and '-'")
     if form not in ("both", "parquet"):
         raise NotUsable(
             f"form {form!r} cannot be used: the training form is derived from Parquet; "

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bidexdata.config import canonical_json, fingerprint
-from bidexdata.errors import Contradiction, NotUsable, PathNotFound, UnknownName
+from bidexdata.errors import Contradiction, NotUsable, UnknownName
+from bidexdata.kinds import INDEX, expect_kind
 from bidexdata.objects.prepared import PreparedObject, Solid
 from bidexdata.objects.storage import OBJECT_FILES, SCHEMA_VERSION
 from bidexdata.objects.storage import read_object as read_object
@@ -19,8 +20,6 @@ from bidexdata.record.status import Status
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-INDEX = "index.parquet"
 
 COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("source_name", "string", "the input's own name"),
@@ -71,15 +70,17 @@ class Library:
         """Open a library.
 
         Raises:
-            PathNotFound: The folder does not exist.
-            NotUsable: It is no library, or `prepare` has not finished it.
+            PathNotFound: There is no library at `path`.
+            NotUsable: `prepare` has not finished it.
             Contradiction: Its index is damaged.
         """
         path = Path(path)
-        if not path.is_dir():
-            raise PathNotFound(path, "a library made by `bidexdata prepare`")
+        expect_kind(path, "library")
         if not (path / INDEX).is_file():
-            raise NotUsable(f"{path} has no {INDEX}: it is {_what_is(path)}")
+            raise NotUsable(
+                f"{path} has no {INDEX}: it is an unfinished library; "
+                "run the same `bidexdata prepare` again to finish it"
+            )
         return cls(path, _read_index(path / INDEX))
 
     @property
@@ -128,17 +129,6 @@ class Library:
                 "delete the folder and run `bidexdata prepare` again"
             )
         return folder
-
-
-def _what_is(path: Path) -> str:
-    """Say what a folder without an index is and what to do."""
-    if (path / "manifest.json").exists():
-        return "a release, and this needs the library that `bidexdata prepare` wrote"
-    if (path / "run.json").exists():
-        return "a run, and this needs the library that `bidexdata prepare` wrote"
-    if (path / "objects").is_dir():
-        return "an unfinished library; run the same `bidexdata prepare` again to finish it"
-    return f"no library; make one: bidexdata prepare SOURCE --out {path}"
 
 
 def object_folder(object_id: str) -> Path:

@@ -70,7 +70,7 @@ def grasp_parts(
         if contacts:
             parts += contact_parts(batch, row)
     if str(batch["setting"][row]) == "tabletop":
-        parts.append(disc((float(pos[0]), float(pos[1]), 0.0), 1.5 * size, GROUND_COLOUR))
+        parts.append(table_part(size, (float(pos[0]), float(pos[1]))))
     return parts
 
 
@@ -91,10 +91,25 @@ def solid_parts(
 def hand_part(hand: Hand, pos: Vector, quat_wxyz: Vector, joints: NDArray[Any]) -> Part:
     """Draw a hand whose frame is at a pose in the world [m, rad], in its side's colour."""
     angles = np.asarray(joints, np.float64)[: len(hand.joint_names)]
-    body_pos, body_rot = forward_kinematics(hand, angles)
-    placed = [moved(shape, body_rot[b], body_pos[b]) for b, shape in body_shapes(hand)]
-    whole = joined(placed, HAND_COLOURS[hand.side], hand.side)
+    whole = bodies_part(hand, *forward_kinematics(hand, angles))
     return moved(whole, matrix_from_quat(np.asarray(quat_wxyz)), pos)
+
+
+def bodies_part(hand: Hand, body_pos: NDArray[Any], body_rot: NDArray[Any]) -> Part:
+    """Draw a hand whose bodies are at given places.
+
+    Args:
+        hand: The hand.
+        body_pos: Origins of its bodies in its order [m], (B, 3).
+        body_rot: Their rotations, (B, 3, 3).
+    """
+    placed = [moved(shape, body_rot[b], body_pos[b]) for b, shape in body_shapes(hand)]
+    return joined(placed, HAND_COLOURS[hand.side], hand.side)
+
+
+def table_part(size: float, centre: tuple[float, float] = (0.0, 0.0)) -> Part:
+    """Draw the table z = 0 under an object of a size, round a place on it [m]."""
+    return disc((*centre, 0.0), 1.5 * size, GROUND_COLOUR)
 
 
 @lru_cache(maxsize=8)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+    from PIL.ImageDraw import ImageDraw
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
 Pixels = NDArray[np.uint8]
@@ -23,6 +24,7 @@ BAD = (190, 40, 36)
 TEXT = 13
 TITLE = 19
 GAP = 10
+_STEP = TEXT + 4  # pixels from line to line
 FRAME_MS = 110
 """Time that one picture of an animation stays [ms]."""
 
@@ -62,12 +64,11 @@ def contact_sheet(
         1, min(columns or default_columns(len(tiles), width / max(height, 1)), max(len(tiles), 1))
     )
     lines = max((1 + len(t.caption.lines) for t in tiles), default=0)
-    step = TEXT + 4
-    cell = height + lines * step + 2 * GAP
+    cell = height + lines * _STEP + 2 * GAP
     rows = -(-len(tiles) // columns)
     size = (
         columns * (width + GAP) + GAP,
-        2 * GAP + TITLE + rows * cell + step + 2 * GAP,
+        2 * GAP + TITLE + rows * cell + _STEP + 2 * GAP,
     )
     sheet = Image.new("RGB", size, PAPER)
     draw = ImageDraw.Draw(sheet)
@@ -77,15 +78,22 @@ def contact_sheet(
         x = GAP + (k % columns) * (width + GAP)
         y = 2 * GAP + TITLE + (k // columns) * cell + GAP // 2
         sheet.paste(Image.fromarray(tile.pixels), (x, y))
-        y += height + 4
-        for number, line in enumerate((tile.caption.head, *tile.caption.lines)):
-            last = number == len(tile.caption.lines)
-            colour = _ink(number, tile.caption.good if last else None)
-            draw.text((x, y), fitted(line, width, TEXT), colour, _font(TEXT))
-            y += step
-    foot = (GAP, size[1] - step - GAP // 2)
+        _write(draw, tile.caption, x, y + height + 4, width)
+    foot = (GAP, size[1] - _STEP - GAP // 2)
     draw.text(foot, fitted(footer, inside, TEXT), FAINT, _font(TEXT))
     return sheet
+
+
+def captioned(pixels: Pixels, caption: Caption) -> Pixels:
+    """One picture with its words below it, (h + lines, w, 3)."""
+    from PIL import Image, ImageDraw
+
+    height, width = pixels.shape[:2]
+    words = (1 + len(caption.lines)) * _STEP + GAP
+    page = Image.new("RGB", (width, height + words), PAPER)
+    page.paste(Image.fromarray(pixels), (0, 0))
+    _write(ImageDraw.Draw(page), caption, GAP // 2, height + 4, width - GAP)
+    return np.asarray(page)
 
 
 def default_columns(count: int, aspect: float) -> int:
@@ -135,6 +143,13 @@ def save_animation(frames: Sequence[Image], path: Path) -> None:
         indexed = [f.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG) for f in frames]
         first, rest = indexed[0], indexed[1:]
     first.save(path, save_all=True, append_images=rest, duration=FRAME_MS, loop=0)
+
+
+def _write(draw: ImageDraw, caption: Caption, x: int, y: int, width: int) -> None:
+    for number, line in enumerate((caption.head, *caption.lines)):
+        last = number == len(caption.lines)
+        colour = _ink(number, caption.good if last else None)
+        draw.text((x, y + number * _STEP), fitted(line, width, TEXT), colour, _font(TEXT))
 
 
 def _ink(number: int, good: bool | None) -> tuple[int, int, int]:

@@ -66,7 +66,7 @@ _ALL = (
     # synthesis
     _f("region_id", "int16", "H", "", "", "synth", "grasps", "anchor number of the region each hand started at"),
     _f("region_score", "float32", "", "", "", "synth", "grasps", "score of the region pair, larger is better (meaning set by regions.score)"),
-    _f("energy_qp", "float32", "", "", "", "synth", "grasps", "closure energy Q, summed over contact groups, unweighted (paper eq. 4)"),
+    _f("energy_qp", "float32", "", "", "", "synth", "grasps", "closure energy Q, summed over contact groups, unweighted (paper, appendix A)"),
     _f("energy_distance", "float32", "", "m2", "", "synth", "grasps", "E_dis at the grasp, unweighted (paper, appendix B)"),
     _f("energy_region", "float32", "", "m", "", "synth", "grasps", "E_region at the grasp, unweighted (paper, appendix B)"),
     _f("energy_penetration", "float32", "", "m2", "", "synth", "grasps", "squared hand-object sphere depths at the grasp, unweighted"),
@@ -78,7 +78,7 @@ _ALL = (
     _f("contact_point", "float32", "H C 3", "m", "object", "synth", "contacts", "object surface point closest to the contact point, at the grasp"),
     _f("contact_normal", "float32", "H C 3", "", "object", "synth", "contacts", "outward unit surface normal there"),
     _f("contact_force", "float32", "H C 3", "cap", "object", "synth", "contacts", "force on the object in the coupled zero-load QP, in units of the cap"),
-    _f("force_scale", "float32", "H", "N", "", "synth", "contacts", "newtons per unit of contact_force that the squeeze aims at"),
+    _f("force_scale", "float32", "H", "N", "", "synth", "contacts", "newtons per unit of contact_force: the squeeze adds the joint torques J^T f of these forces to 2 G - G_pre; 0 where it adds none"),
     _f("steps", "int32", "", "", "", "synth", "grasps", "optimiser steps taken"),
     _f("seed", "int64", "", "", "", "synth", "grasps", "seed of the task that made the attempt"),
     _f("selected", "bool", "", "", "", "synth", "grasps", "one of the N best attempts of its scene"),

@@ -6,11 +6,12 @@ Pictures and the viewer read through `Browsable` and do not know which of the th
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from bidexdata.errors import NotUsable, PathNotFound
+from bidexdata.errors import NotUsable
+from bidexdata.kinds import Kind, expect_kind
 from bidexdata.record import GraspBatch, HandHeader
 from bidexdata.record.batch import empty_columns
 from bidexdata.record.fields import columns_written_by
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from bidexdata.objects.library import Library
     from bidexdata.objects.prepared import Solid
     from bidexdata.runs.run import Run
-
-Kind = Literal["library", "run", "release"]
 
 
 @runtime_checkable
@@ -58,23 +57,12 @@ def open_browsable(path: str | Path) -> Browsable:
     """Open whatever is at `path`.
 
     Raises:
-        PathNotFound: Nothing is there.
-        NotUsable: It is neither a library, a run nor a release.
+        PathNotFound: There is neither a library, a run nor a release.
         Contradiction: It is damaged.
     """
-    path = Path(path)
-    if not path.exists():
-        raise PathNotFound(path, "a library, a run or a release")
-    if (path / "manifest.json").is_file():
-        return ReleaseSource(path)
-    if (path / "run.json").is_file():
-        return RunSource(path)
-    if (path / "index.parquet").is_file():
-        return LibrarySource(path)
-    raise NotUsable(
-        f"{path} is neither a library (index.parquet), a run (run.json) "
-        "nor a release (manifest.json)"
-    )
+    kind = expect_kind(path, "library", "run", "release")
+    sources = {"library": LibrarySource, "run": RunSource, "release": ReleaseSource}
+    return sources[kind](Path(path))
 
 
 class LibrarySource:
@@ -129,17 +117,15 @@ class RunSource:
         return self.run.load_solid(object_id)
 
     def grasps(self, object_id: str) -> GraspBatch | None:
-        """Rows of the tasks that are done; those not yet validated say so in every row."""
+        """Rows of the tasks that are done by now; those not yet validated say so in every row."""
         from bidexdata.runs.run import join_tasks
 
-        made = self.run.done()
-        judged = self.run.done(self.protocol, self.test) if self.test else set()
         found = []
         for task in self.run.tasks_of(object_id):
-            if task.task_id not in made:
+            if not self.run.is_done(task):
                 continue
             batch = self.run.task_batch(task)
-            if task.task_id in judged:
+            if self.test and self.run.is_done(task, self.protocol, self.test):
                 verdicts = self.run.task_verdicts(task, batch, self.protocol, self.test)
             elif self.test:
                 verdicts = _no_verdicts(batch)

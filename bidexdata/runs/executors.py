@@ -10,12 +10,12 @@ from __future__ import annotations
 import logging
 import os
 import sys
-import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
 
-from bidexdata.errors import MissingExtra, NotUsable, UnknownName
+from bidexdata.errors import BadValue, MissingExtra, UnknownName
+from bidexdata.runs.boundary import Raised, call_task, describe
 from bidexdata.runs.workers import THREAD_VARIABLES, WorkerPool, usable_cores
 
 T = TypeVar("T")
@@ -58,12 +58,10 @@ def run_tasks(
 
     Raises:
         UnknownName: No executor is called so.
+        BadValue: A negative number of workers.
         NotUsable: Workers cannot start at all.
     """
-    if executor not in EXECUTORS:
-        raise UnknownName("executor", executor, EXECUTORS)
-    if workers < 0:
-        raise NotUsable(f"--workers {workers}: give 0 (one per core) or a positive number")
+    check_executor(executor, workers)
     if executor == "inline":
         return _run_inline(tasks, work)
     count = min(workers or usable_cores(), max(len(tasks), 1))
@@ -72,13 +70,26 @@ def run_tasks(
     return _run_processes(tasks, work, count, timeout)
 
 
+def check_executor(executor: str, workers: int) -> None:
+    """Refuse an executor that does not exist, or a negative number of workers.
+
+    Raises:
+        UnknownName: No executor is called so.
+        BadValue: The number is negative.
+    """
+    if executor not in EXECUTORS:
+        raise UnknownName("executor", executor, EXECUTORS)
+    if workers < 0:
+        raise BadValue(f"--workers {workers}: give 0 (one per core) or a positive number")
+
+
 def _run_inline(tasks: Sequence[T], work: Callable[[T], R]) -> Iterator[tuple[T, R | TaskFailure]]:
     for task in tasks:
-        try:
-            result: R | TaskFailure = work(task)
-        except Exception as err:  # the task boundary: one bad task does not end the run
-            result = TaskFailure(task, describe(err), details=traceback.format_exc())
-        yield task, result
+        result = call_task(work, task)
+        if isinstance(result, Raised):
+            yield task, TaskFailure(task, result.reason, details=result.details)
+        else:
+            yield task, result
 
 
 def _run_processes(
@@ -150,12 +161,6 @@ def _ray_result(ray: Any, ready: Any, task: Any) -> Any:
         return TaskFailure(task, reason, details=str(err))
     except ray.exceptions.RayError as err:
         return TaskFailure(task, f"the worker died ({type(err).__name__})", "died", str(err))
-
-
-def describe(err: BaseException) -> str:
-    """One line for an exception: its type and first line."""
-    lines = str(err).strip().splitlines()
-    return f"{type(err).__name__}: {lines[0]}" if lines else type(err).__name__
 
 
 _END: Any = object()

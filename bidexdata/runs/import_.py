@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from bidexdata.config import differing_keys, fingerprint
 from bidexdata.errors import ConfigConflict, NotUsable, PathNotFound
+from bidexdata.kinds import RUN_FILE
 from bidexdata.objects.library import Library
 from bidexdata.objects.storage import read_document
 from bidexdata.record import Status
@@ -34,14 +35,13 @@ from bidexdata.runs.import_scan import (
     write_files,
 )
 from bidexdata.runs.logs import log_to
+from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.memory import limit_memory
 from bidexdata.runs.plan import Task, write_plan
 from bidexdata.runs.run import PLAN_FILE, Run, open_unchanged, refuse_foreign
 from bidexdata.runs.shards import done_tasks, shard_path, sweep, write_shard
 from bidexdata.runs.spec import (
-    RUN_FILE,
     RunSpec,
-    package_versions,
     portable_hand,
     read_spec,
     write_spec,

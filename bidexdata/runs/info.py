@@ -6,10 +6,12 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bidexdata.errors import NotUsable, PathNotFound
+from bidexdata.kinds import expect_kind
 from bidexdata.record import Status
+from bidexdata.runs.finished import Finished
 from bidexdata.runs.pack import count_tested, rows_of_object
 from bidexdata.runs.run import Run
+from bidexdata.runs.shards import read_mark, shard_path
 
 if TYPE_CHECKING:
     from bidexdata.formats.release import Release
@@ -20,27 +22,18 @@ def describe(path: str | Path) -> dict[str, Any]:
     """Describe a library, a run or a release as plain data (the keys of `info --json`).
 
     Raises:
-        PathNotFound: Nothing is there.
-        NotUsable: It is none of the three.
+        PathNotFound: There is none of the three.
         Contradiction: It is damaged.
     """
-    path = Path(path)
-    if not path.exists():
-        raise PathNotFound(path, "a library, a run or a release")
-    if (path / "manifest.json").exists():
-        from bidexdata.formats.release import Release
+    from bidexdata.formats.release import Release
+    from bidexdata.objects.library import Library
 
+    kind = expect_kind(path, "library", "run", "release")
+    if kind == "release":
         return describe_release(Release.open(path))
-    if (path / "run.json").exists():
+    if kind == "run":
         return describe_run(Run.open(path))
-    if (path / "index.parquet").exists() or (path / "objects").is_dir():
-        from bidexdata.objects.library import Library
-
-        return describe_library(Library.open(path))
-    raise NotUsable(
-        f"{path} is neither a library (index.parquet), a run (run.json) nor a release "
-        "(manifest.json)"
-    )
+    return describe_library(Library.open(path))
 
 
 def describe_library(library: Library) -> dict[str, Any]:
@@ -68,11 +61,12 @@ def describe_library(library: Library) -> dict[str, Any]:
 
 def describe_run(run: Run) -> dict[str, Any]:
     """Progress per stage, and figures per protocol over all finished rows."""
-    spec, tests = run.spec, run.verdict_tests()
-    stages = {run.stage_folder("rows").name: len(run.done())}
-    for protocol, test in tests:
-        stages[f"validate/{protocol}/{test}"] = len(run.done(protocol, test))
-    protocols = sorted({p for p, _ in tests}) or [""]
+    spec, finished = run.spec, Finished.of(run)
+    stages = {run.stage_folder("rows").name: len(finished.rows)}
+    for (protocol, test), tasks in finished.verdicts.items():
+        stages[f"validate/{protocol}/{test}"] = len(tasks)
+    protocols = sorted({p for p, _ in finished.tests}) or [""]
+    figures = {p: run_figures(run, finished, p) for p in protocols}
     return {
         "kind": "run",
         "path": str(run.path),
@@ -81,6 +75,8 @@ def describe_run(run: Run) -> dict[str, Any]:
         "preset": spec.preset,
         "setting": spec.setting,
         **_imported(run),
+        "rest_poses": spec.rest_poses,
+        "without_scene": list(spec.without_scene),
         "sizes_mm": list(spec.sizes_mm),
         "grasps": spec.grasps,
         "candidates": spec.candidates,
@@ -88,8 +84,9 @@ def describe_run(run: Run) -> dict[str, Any]:
         "objects": len(run.object_ids),
         "tasks": len(run.tasks),
         "done": stages,
-        "figures": run_figures(run, protocols[0]),
-        "protocols": {p: run_figures(run, p) for p in protocols if p},
+        "made_with": made_with_of(run, finished),
+        "figures": figures[protocols[0]],
+        "protocols": {p: found for p, found in figures.items() if p},
     }
 
 
@@ -109,19 +106,34 @@ def _imported(run: Run) -> dict[str, Any]:
     return {"files": {**counts, "failures": told}}
 
 
-def run_figures(run: Run, protocol: str) -> dict[str, Any]:
+def made_with_of(run: Run, finished: Finished) -> dict[str, list[dict[str, Any]]]:
+    """Devices and versions per stage, each with the number of tasks, the most used first."""
+    stages = {run.stage_folder("rows"): finished.rows}
+    for (protocol, test), tasks in finished.verdicts.items():
+        stages[run.stage_folder("validate", protocol, test)] = tasks
+    found = {}
+    for folder, tasks in stages.items():
+        marks = (read_mark(shard_path(folder, task_id)) for task_id in tasks)
+        kinds = Counter(tuple(sorted(mark.made_with.items())) for mark in marks)
+        ordered = sorted(kinds.items(), key=lambda kind: (-kind[1], kind[0]))
+        name = folder.relative_to(run.path).as_posix()
+        found[name] = [{"tasks": n, **dict(kind)} for kind, n in ordered]
+    return found
+
+
+def run_figures(run: Run, finished: Finished, protocol: str) -> dict[str, Any]:
     """Figures of a run's finished rows; rates where all rows of an object are tested.
 
     The definitions are those of `formats.figures`, the same as in a release.
     """
     from bidexdata.formats.figures import Tally
 
-    tests = tuple(t for p, t in run.verdict_tests() if p == protocol)
+    tests = tuple(t for p, t in finished.tests if p == protocol)
     tally = Tally(tests or ("f",))
     untested = 0
-    tested_rows, _ = count_tested(run, protocol)
+    tested_rows, _ = count_tested(run, finished, protocol)
     for object_id in run.object_ids:
-        rows = rows_of_object(run, object_id, "", [(protocol, t) for t in tests])
+        rows = rows_of_object(run, finished, object_id, "", [(protocol, t) for t in tests])
         if rows is None:
             continue
         untested += len(rows.verdicts) < len(tests)

@@ -8,9 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
+from bidexdata.config import differing_keys, to_plain
 from bidexdata.errors import NotUsable
+from bidexdata.runs.finished import Finished, Test
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.run import Run, join_tasks
+from bidexdata.runs.shards import read_mark, shard_path
 
 if TYPE_CHECKING:
     import numpy as np
@@ -18,7 +21,6 @@ if TYPE_CHECKING:
     from bidexdata.formats.release import ReleaseRows, RunInfo
     from bidexdata.objects.prepared import PreparedObject
 
-Test = tuple[str, str]
 Licences = Literal["permissive", "nc-ok"]
 PERMISSIVE = (
     "cc0-1.0",
@@ -62,10 +64,11 @@ class PackReport:
 
 
 class NamedRun(NamedTuple):
-    """A run and its name in the release."""
+    """A run, its name in the release, and what of it is packed."""
 
     name: str
     run: Run
+    finished: Finished
 
 
 def pack_runs(
@@ -94,10 +97,13 @@ def pack_runs(
         quiet: No progress.
 
     Raises:
-        NotUsable: Nothing to pack, runs that do not fit together, or a bad name or target.
+        BadValue: The name or version cannot be used.
+        NotUsable: Nothing to pack, runs that do not fit together, or a bad form or target.
     """
     from bidexdata.formats.release import write_release
+    from bidexdata.formats.writer import check_names
 
+    check_names(Path(out), name, version, form)  # before anything is read
     runs = _named([Run.open(p) for p in paths])
     _check_hands(runs)
     objects = _objects(runs)
@@ -105,14 +111,14 @@ def pack_runs(
     ids = sorted(set(objects) - set(left_out))
     if not ids:
         raise NotUsable("there is nothing to pack: no run has finished rows of a usable object")
-    tests = sorted({t for r in runs for t in r.run.verdict_tests()})
+    tests = sorted({t for r in runs for t in r.finished.tests})
     untested: Counter[str] = Counter()
 
     def rows_of(object_id: str) -> Iterator[ReleaseRows]:
         for one in runs:
-            rows = rows_of_object(one.run, object_id, one.name, tests)
+            rows = rows_of_object(one.run, one.finished, object_id, one.name, tests)
             if rows is not None:
-                untested[object_id] += int(set(rows.verdicts) < set(one.run.verdict_tests()))
+                untested[object_id] += int(set(rows.verdicts) < set(one.finished.tests))
                 yield rows
 
     def load_object(object_id: str) -> PreparedObject:
@@ -130,12 +136,15 @@ def pack_runs(
             runs=[run_info(r) for r in runs],
             tests=tests,
             default_protocol=protocol,
+            protocols=_protocols(runs, tests),
             seed=seed,
             form=cast("Any", form),
             on_object=lambda object_id: progress.advance(note=object_id),
         )
-    unfinished = {r.name: len(r.run.tasks) - len(r.run.done()) for r in runs}
-    counts = [TestedRows(r.name, r.run.path, *count_tested(r.run, protocol)) for r in runs]
+    unfinished = {r.name: len(r.run.tasks) - len(r.finished.rows) for r in runs}
+    counts = [
+        TestedRows(r.name, r.run.path, *count_tested(r.run, r.finished, protocol)) for r in runs
+    ]
     return PackReport(
         summary.path,
         summary.figures,
@@ -146,17 +155,16 @@ def pack_runs(
     )
 
 
-def count_tested(run: Run, protocol: str) -> tuple[int, int]:
+def count_tested(run: Run, finished: Finished, protocol: str) -> tuple[int, int]:
     """Count the finished rows that every test begun of a protocol has a verdict on, and all."""
-    tests = [t for p, t in run.verdict_tests() if p == protocol]
-    have = run.done()
-    tested = have.intersection(*(run.done(protocol, t) for t in tests)) if tests else set()
-    rows = {t.task_id: len(run.task_batch(t)) for t in run.tasks if t.task_id in have}
+    tested = finished.tested([t for t in finished.tests if t[0] == protocol])
+    folder = run.stage_folder("rows")
+    rows = {i: read_mark(shard_path(folder, i)).rows for i in finished.rows}
     return sum(rows[i] for i in tested), sum(rows.values())
 
 
 def rows_of_object(
-    run: Run, object_id: str, name: str, tests: Sequence[Test]
+    run: Run, finished: Finished, object_id: str, name: str, tests: Sequence[Test]
 ) -> ReleaseRows | None:
     """All finished rows of one object of a run, rounds joined, with their verdicts.
 
@@ -166,14 +174,13 @@ def rows_of_object(
 
     from bidexdata.formats.release import ReleaseRows
 
-    done = run.done()
-    tasks = [t for t in run.tasks_of(object_id) if t.task_id in done]
+    tasks = finished.tasks_of(run, object_id)
     if not tasks:
         return None
     batches = [run.task_batch(t) for t in tasks]
     verdicts: dict[Test, dict[str, np.ndarray]] = {}
     for protocol, test in tests:
-        if {t.task_id for t in tasks} <= run.done(protocol, test):
+        if {t.task_id for t in tasks} <= finished.verdicts.get((protocol, test), frozenset()):
             pairs = zip(tasks, batches, strict=True)
             parts = [run.task_verdicts(t, b, protocol, test) for t, b in pairs]
             verdicts[protocol, test] = {c: np.concatenate([p[c] for p in parts]) for c in parts[0]}
@@ -212,7 +219,8 @@ def _named(runs: Sequence[Run]) -> list[NamedRun]:
     for run, folder in zip(runs, folders, strict=True):
         seen[folder.name] += 1
         number = seen[folder.name]
-        named.append(NamedRun(folder.name if number == 1 else f"{folder.name}-{number}", run))
+        name = folder.name if number == 1 else f"{folder.name}-{number}"
+        named.append(NamedRun(name, run, Finished.of(run)))
     return named
 
 
@@ -230,9 +238,8 @@ def _objects(runs: Sequence[NamedRun]) -> dict[str, Run]:
     """The objects with finished rows, and a run whose library has each."""
     found: dict[str, Run] = {}
     for one in runs:
-        done = one.run.done()
         for object_id in one.run.object_ids:
-            if not any(t.task_id in done for t in one.run.tasks_of(object_id)):
+            if not one.finished.tasks_of(one.run, object_id):
                 continue
             known = found.setdefault(object_id, one.run)
             mine, theirs = (r.library.row(object_id)["content_sha256"] for r in (one.run, known))
@@ -242,6 +249,22 @@ def _objects(runs: Sequence[NamedRun]) -> dict[str, Run]:
                     f"in that of {known.path}; pack runs of equally prepared objects"
                 )
     return found
+
+
+def _protocols(runs: Sequence[NamedRun], tests: Sequence[Test]) -> dict[str, Any]:
+    """Settings of the protocols that the runs have verdicts of; one name, one protocol."""
+    found: dict[str, tuple[Path, Any]] = {}
+    for one in runs:
+        for name in {p for p, _ in one.run.verdict_tests()} & {p for p, _ in tests}:
+            mine = to_plain(one.run.protocol(name))
+            first, known = found.setdefault(name, (one.run.path, mine))
+            differing = differing_keys(known, mine)
+            if differing:
+                raise NotUsable(
+                    f"{one.run.path} and {first} have verdicts of different protocols called "
+                    f"{name!r} ({differing[0]}); validate one of them again under another name"
+                )
+    return {name: settings for name, (_, settings) in sorted(found.items())}
 
 
 def _refused_by_licence(objects: Mapping[str, Run], licences: Licences) -> list[str]:

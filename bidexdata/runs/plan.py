@@ -88,7 +88,14 @@ def take_shard(tasks: Sequence[Task], shard: tuple[int, int] | None) -> list[Tas
 def scene_ids_of(
     object_id: str, sizes_mm: Sequence[int], setting: Setting, rest_poses: int = 0
 ) -> list[str]:
-    """Ids of an object's scenes: every size, and on a table every rest pose of every size."""
+    """Ids of an object's scenes: every size; on a table every size in its first rest poses.
+
+    Args:
+        object_id: The object.
+        sizes_mm: Bounding-box diagonals [mm].
+        setting: Floating scenes have no rest pose.
+        rest_poses: How many rest poses to use; an object stores the most probable ones first.
+    """
     if setting == "floating":
         return [Scene(object_id, mm).scene_id for mm in sizes_mm]
     return [

@@ -18,15 +18,16 @@ from typing import Any
 
 from bidexdata.config import differing_keys, to_plain
 from bidexdata.errors import ConfigConflict, Contradiction, NotUsable
+from bidexdata.kinds import INDEX, OBJECTS
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.identity import object_id_of, source_bytes
-from bidexdata.objects.library import INDEX, Library, content_sha256, object_folder, write_index
+from bidexdata.objects.library import Library, content_sha256, object_folder, write_index
 from bidexdata.objects.prepare import prepare_object
 from bidexdata.objects.sources import SourceItem, resolve_sources
 from bidexdata.objects.storage import read_document, write_object
 from bidexdata.record.status import Status
-from bidexdata.runs.executors import TaskFailure, run_tasks
+from bidexdata.runs.executors import TaskFailure, check_executor, run_tasks
 from bidexdata.runs.memory import limit_memory
 from bidexdata.runs.progress import Progress
 
@@ -114,6 +115,7 @@ def prepare_library(
         PathNotFound: A source does not exist.
         ConfigConflict: The folder holds objects that were made with another configuration.
     """
+    check_executor(executor, workers)
     config = config or PrepareConfig()
     start = time.monotonic()
     items = resolve_sources(sources)[: None if limit is None else max(limit, 0)]
@@ -253,13 +255,13 @@ def _check_out(out: Path, config: PrepareConfig) -> None:
         return
     if not out.is_dir():
         raise NotUsable(f"{out} is a file; --out needs a folder")
-    own = {INDEX, "objects"}
+    own = {INDEX, OBJECTS}
     foreign = [p.name for p in out.iterdir() if p.name not in own and not p.name.startswith(".")]
     if foreign:
         # A release has `objects` too, and must not be written to.
         held = sorted(foreign)[0]
         raise NotUsable(f"{out} is no library (it holds {held}); choose another --out")
-    known = next((out / "objects").glob("*/*/object.json"), None)
+    known = next((out / OBJECTS).glob("*/*/object.json"), None)
     if known is None:
         return
     before, now = read_document(known.parent).get("config"), _identity(config)

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from bidexdata.errors import BadConfig, NotUsable
+from bidexdata.devices import check_device
+from bidexdata.errors import BadConfig, BadValue, NotUsable
 from bidexdata.record import GraspBatch
 from bidexdata.runs.browse import Browsable, open_browsable, verdicts_of
 from bidexdata.runs.progress import Progress
@@ -91,7 +92,7 @@ def render(
 
     Args:
         path: A library, a run or a release.
-        out: `.png`, `.jpg` or `.webp`; an animation is `.gif` or an animated `.png`.
+        out: `.png`, `.jpg` or `.webp`; an animation is `.mp4`, `.gif` or an animated `.png`.
         only: Grasps that passed, or that failed.
         count: Pictures at most.
         views: Views of each grasp (an animation has one).
@@ -101,15 +102,20 @@ def render(
         quiet: No progress bar.
 
     Raises:
-        NotUsable: Nothing matches, there are no verdicts to choose by, or pillow is missing.
-        BadConfig: The file's ending is none of these, or `count` is not positive.
+        NotUsable: Nothing matches, there are no verdicts to choose by, there is no such device,
+            or pillow is missing.
+        MissingExtra: An `.mp4` without the package that writes it.
+        BadConfig: The file's ending is none of these.
+        BadValue: `count` is not positive.
         PathNotFound: `path` does not exist.
     """
     started = perf_counter()
+    check_device(device)
     source, out = open_browsable(path), Path(out)
     _check(out, source, only=only, count=count, video=video)
     from bidexdata.pictures.picture import drawn_by
-    from bidexdata.pictures.sheet import contact_sheet, save_animation, save_picture
+    from bidexdata.pictures.sheet import FRAME_MS, contact_sheet, save_animation, save_picture
+    from bidexdata.pictures.video import save_video
 
     footer = drawn_by(device)
     if source.kind == "library":
@@ -126,7 +132,9 @@ def render(
         raise NotUsable(f"{path}: nothing to draw{f' with --only {only}' if only else ''}")
     sheets = [contact_sheet(tiles, title=title, footer=footer) for tiles in frames]
     out.parent.mkdir(parents=True, exist_ok=True)
-    if video:
+    if out.suffix.lower() == ".mp4":
+        save_video(sheets, out, 1000 / FRAME_MS)
+    elif video:
         save_animation(sheets, out)
     else:
         save_picture(sheets[0], out)
@@ -247,12 +255,16 @@ def _object_tiles(
 
 
 def _check(out: Path, source: Browsable, *, only: Only | None, count: int, video: bool) -> None:
-    endings = (".gif", ".png") if video else (".png", ".jpg", ".jpeg", ".webp")
+    endings = (".mp4", ".gif", ".png") if video else (".png", ".jpg", ".jpeg", ".webp")
     if out.suffix.lower() not in endings:
         what = "an animation" if video else "a contact sheet"
         raise BadConfig(f"--out {out}: {what} is written as one of {', '.join(endings)}")
+    if video and out.suffix.lower() == ".mp4":
+        from bidexdata.pictures.video import require_encoder
+
+        require_encoder()  # before minutes of drawing
     if count < 1:
-        raise BadConfig(f"--count must be at least 1, not {count}")
+        raise BadValue(f"--count must be at least 1, not {count}")
     if source.kind == "library" and (only or video):
         raise BadConfig(f"{source.path} is a library: it has objects but no grasps to choose from")
     if only and not source.test:

@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING
 
 from bidexdata.config import differing_keys, fingerprint
 from bidexdata.errors import ConfigConflict, NotUsable
+from bidexdata.kinds import MANIFEST, kind_of
 from bidexdata.record import FIELDS, GraspBatch
+from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.plan import Round, Task, write_plan
 from bidexdata.runs.run import PLAN_FILE, Run, refuse_foreign
 from bidexdata.runs.shards import shard_path, write_shard
-from bidexdata.runs.spec import RUN_FILE, RunSpec, package_versions, relative_to_run, write_spec
+from bidexdata.runs.spec import RunSpec, relative_to_run, write_spec
 
 if TYPE_CHECKING:
     from bidexdata.formats.release import Release
@@ -32,7 +34,7 @@ def start_retest(release_path: str | Path, out: str | Path) -> Run:
 
     release, out = Release.open(release_path), Path(out)
     spec = _spec(release, out)
-    if (out / RUN_FILE).exists():
+    if kind_of(out) == "run":
         old = Run.open(out)
         differing = differing_keys(old.spec.identity(), spec.identity())
         if differing:
@@ -59,7 +61,7 @@ def start_retest(release_path: str | Path, out: str | Path) -> Run:
 
 
 def _spec(release: Release, out: Path) -> RunSpec:
-    manifest = (release.path / "manifest.json").read_bytes()
+    manifest = (release.path / MANIFEST).read_bytes()
     sizes = release.index("selected", columns=["size_mm"]).column("size_mm").unique().to_pylist()
     return RunSpec(
         kind="release",

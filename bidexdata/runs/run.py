@@ -1,13 +1,15 @@
 """Run: a folder of grasps in the making; what it is, how far it is, and its rows.
 
 Layout: run.json, tasks.parquet, `synth/` (or `import/`) shards with all columns so far,
-`validate/<protocol>/<test>/` shards with `grasp_id` and verdict columns, `logs/`. Rows of later
+`validate/<protocol>/<test>/` shards with `grasp_id` and verdict columns beside the protocol's
+settings in `validate/<protocol>/protocol.json`, `logs/`. Rows of later
 stages have the order of the first stage's; reading joins by position and checks the ids.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -18,7 +20,8 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from bidexdata.config import fingerprint, to_plain
-from bidexdata.errors import ConfigConflict, Contradiction, NotUsable, PathNotFound
+from bidexdata.errors import BidexError, ConfigConflict, Contradiction, NotUsable, PathNotFound
+from bidexdata.kinds import RUN_FILE, expect_kind
 from bidexdata.record import FIELDS, GraspBatch, Header
 from bidexdata.record.fields import columns_written_by
 from bidexdata.runs.plan import Task, read_plan
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
     from bidexdata.validation.protocols import Protocol
 
 PLAN_FILE = "tasks.parquet"
+PROTOCOL_FILE = "protocol.json"
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,7 @@ class Run:
             PathNotFound: There is no run at `path`.
             Contradiction: run.json is damaged or its schema is newer than this package.
         """
+        expect_kind(path, "run")
         return cls(Path(path), read_spec(Path(path)))
 
     @property
@@ -124,13 +129,12 @@ class Run:
         return [(f.parent.name, f.name) for f in folders if done_tasks(f)]
 
     def done(self, protocol: str | None = None, test: str = "f") -> set[str]:
-        """Ids of the planned tasks whose rows (or verdicts) are there."""
-        folder = (
-            self.stage_folder("rows")
-            if protocol is None
-            else self.stage_folder("validate", protocol, test)
-        )
-        return done_tasks(folder) & {t.task_id for t in self.tasks}
+        """Ids of the planned tasks whose rows (or verdicts) are there; lists the whole folder."""
+        return done_tasks(self._folder(protocol, test)) & {t.task_id for t in self.tasks}
+
+    def is_done(self, task: Task, protocol: str | None = None, test: str = "f") -> bool:
+        """Tell whether the rows (or verdicts) of one task are there; looks at its file alone."""
+        return shard_path(self._folder(protocol, test), task.task_id).is_file()
 
     def task_batch(
         self, task: Task, protocol: str | None = None, test: str | None = None
@@ -198,18 +202,38 @@ class Run:
             found.setdefault(task.object_id, []).append(task)
         return found
 
-    def _verdict_mark(self, protocol: str, test: str) -> str | None:
-        from bidexdata.validation.protocols import load_protocol, protocol_names
+    def protocol(self, name: str) -> Protocol:
+        """Settings of a protocol that the run has verdicts of.
 
-        if protocol not in protocol_names():  # the caller's own; its settings are not known here
-            return None
-        return verdict_fingerprint(self, load_protocol(protocol), test)
+        Raises:
+            PathNotFound: The run has none of it, and no protocol is called so.
+            Contradiction: Its file is damaged.
+        """
+        from bidexdata.validation.protocols import load_protocol, protocol_from, protocol_names
+
+        path = self.path / "validate" / name / PROTOCOL_FILE
+        if not path.is_file():
+            if name in protocol_names():
+                return load_protocol(name)
+            raise PathNotFound(path, "the settings of the protocol that `validate` stores")
+        try:
+            return protocol_from(json.loads(path.read_text(encoding="utf-8")), str(path))
+        except (ValueError, BidexError) as err:
+            raise Contradiction(f"{path}: damaged protocol settings ({err})") from err
+
+    def _folder(self, protocol: str | None, test: str) -> Path:
+        if protocol is None:
+            return self.stage_folder("rows")
+        return self.stage_folder("validate", protocol, test)
+
+    def _verdict_mark(self, protocol: str, test: str) -> str:
+        return verdict_fingerprint(self, self.protocol(protocol), test)
 
     def _source(self) -> Path:
         path = (self.path / self.spec.source).resolve()
         if not path.is_dir():
             wanted = "the release" if self.spec.kind == "release" else "the library"
-            raise PathNotFound(path, f"{wanted} that {self.path / 'run.json'} names")
+            raise PathNotFound(path, f"{wanted} that {self.path / RUN_FILE} names")
         return path
 
 

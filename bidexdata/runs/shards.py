@@ -1,8 +1,9 @@
 """Shards: one Arrow file per task and stage; that it exists is the only mark of "done".
 
 A shard is written to a temporary name beside its place, synced, and renamed, so a reader or a
-resumed run never sees half of one. It carries the fingerprint of the configuration that made it.
-The same task gives the same bytes, so two machines that compute one twice do no harm.
+resumed run never sees half of one. It carries a mark: the fingerprint of the configuration, and
+the device and package versions that made it. The same task on the same kind of machine gives the
+same bytes, so computing one twice does no harm.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ import json
 import os
 import socket
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bidexdata.errors import ConfigConflict, Contradiction, PathNotFound
+from bidexdata.runs.made_with import made_with
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -25,6 +27,18 @@ _KEY = b"bidexdata_shard"
 _SUFFIX = ".arrow"
 STALE_AFTER = 24 * 3600.0
 """Age at which another machine's temporary file is taken for an orphan [s]."""
+
+
+class Mark(NamedTuple):
+    """What a shard says of itself."""
+
+    fingerprint: str
+    """Of the configuration that made it."""
+    rows: int
+    made_with: Mapping[str, str]
+    """Device and versions; information only, empty where an older version wrote the shard."""
+    notes: Mapping[str, Any]
+    """How the rows were computed, where that is no part of the configuration; plain data."""
 
 
 def shard_path(stage_folder: Path, task_id: str) -> Path:
@@ -37,19 +51,29 @@ def done_tasks(stage_folder: Path) -> set[str]:
     return {p.stem for p in stage_folder.glob(f"??/*{_SUFFIX}") if not p.name.startswith(".")}
 
 
-def write_shard(path: Path, table: pa.Table, fingerprint: str) -> None:
-    """Write a table as a shard, atomically.
+def write_shard(
+    path: Path,
+    table: pa.Table,
+    fingerprint: str,
+    *,
+    device: str = "cpu",
+    notes: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a table as a shard, atomically, with a mark of what made it.
 
     Args:
         path: From `shard_path`.
         table: Rows in their final order; may be empty.
         fingerprint: Of the configuration that made the rows.
+        device: The Warp device that they were made on.
+        notes: What else the mark says, see `Mark`.
     """
     import pyarrow as pa
     from pyarrow import ipc
 
-    mark = json.dumps({"fingerprint": fingerprint, "rows": table.num_rows}, sort_keys=True)
-    metadata = {**(table.schema.metadata or {}), _KEY: mark.encode()}
+    mark = Mark(fingerprint, table.num_rows, made_with(device), dict(notes or {}))
+    text = json.dumps(mark._asdict(), sort_keys=True)
+    metadata = {**(table.schema.metadata or {}), _KEY: text.encode()}
     table = table.replace_schema_metadata(metadata).combine_chunks()
     options = ipc.IpcWriteOptions(compression="zstd")
 
@@ -84,14 +108,14 @@ def read_shard(path: Path, fingerprint: str | None = None) -> pa.Table:
         # Not memory-mapped: a file changed under a map would change numbers or crash.
         table = ipc.open_file(pa.BufferReader(path.read_bytes())).read_all()
         table.validate(full=True)
-        mark = json.loads((table.schema.metadata or {})[_KEY])
-        made_by, rows = mark["fingerprint"], mark["rows"]
+        mark = _mark_of(table.schema)
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as err:
         raise _damaged(path, err) from err
-    if rows != table.num_rows:
-        raise Contradiction(f"{path}: damaged shard ({table.num_rows} of {rows} rows); delete it")
-    if fingerprint is not None and made_by != fingerprint:
-        raise ConfigConflict(path, [f"fingerprint: {made_by!r} -> {fingerprint!r}"])
+    if mark.rows != table.num_rows:
+        rows = f"{table.num_rows} of {mark.rows} rows"
+        raise Contradiction(f"{path}: damaged shard ({rows}); delete it")
+    if fingerprint is not None:
+        _compare(path, mark, fingerprint)
     return table
 
 
@@ -102,17 +126,34 @@ def check_mark(path: Path, fingerprint: str) -> None:
         ConfigConflict: Another one than `fingerprint` did.
         Contradiction: The file is damaged.
     """
+    _compare(path, read_mark(path), fingerprint)
+
+
+def read_mark(path: Path) -> Mark:
+    """Read what a shard says of itself, without its rows.
+
+    Raises:
+        Contradiction: The file is damaged.
+    """
     import pyarrow as pa
     from pyarrow import ipc
 
     try:
         with pa.OSFile(str(path), "rb") as source:
-            metadata = ipc.open_file(source).schema.metadata or {}
-        made_by = json.loads(metadata[_KEY])["fingerprint"]
+            return _mark_of(ipc.open_file(source).schema)
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as err:
         raise _damaged(path, err) from err
-    if made_by != fingerprint:
-        raise ConfigConflict(path, [f"fingerprint: {made_by!r} -> {fingerprint!r}"])
+
+
+def _mark_of(schema: pa.Schema) -> Mark:
+    data = json.loads((schema.metadata or {})[_KEY])
+    more = (dict(data.get(key, {})) for key in ("made_with", "notes"))
+    return Mark(data["fingerprint"], int(data["rows"]), *more)
+
+
+def _compare(path: Path, mark: Mark, fingerprint: str) -> None:
+    if mark.fingerprint != fingerprint:
+        raise ConfigConflict(path, [f"fingerprint: {mark.fingerprint!r} -> {fingerprint!r}"])
 
 
 def _damaged(path: Path, err: Exception) -> Contradiction:

@@ -13,14 +13,12 @@ from typing import Any, Literal
 
 from bidexdata.config import differing_keys, fingerprint, from_plain, to_plain
 from bidexdata.errors import BidexError, ConfigConflict, Contradiction, PathNotFound
+from bidexdata.kinds import RUN_FILE
 from bidexdata.record import HandHeader
 from bidexdata.record.batch import SCHEMA_VERSION
 from bidexdata.record.scene import Setting
 from bidexdata.runs.plan import Round
 from bidexdata.runs.shards import write_text
-
-RUN_FILE = "run.json"
-_PACKAGES = ("mujoco", "numpy", "pyarrow", "warp-lang")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +35,10 @@ class RunSpec:
     hands: tuple[HandHeader, ...] = ()
     sizes_mm: tuple[int, ...] = ()
     setting: Setting = "floating"
+    rest_poses: int = 0
+    """Rest poses per object-size at most, the most probable first; 0 where objects float."""
+    without_scene: tuple[str, ...] = ()
+    """Objects that no scene could be made of: on a table, those without a rest pose."""
     source: str = ""
     """The library's (or, for kind `release`, the release's) path relative to the run."""
     source_fingerprint: str = ""
@@ -44,7 +46,7 @@ class RunSpec:
     rounds: tuple[Round, ...] = ()
     """Empty for imported rows, which have no attempts."""
     versions: Mapping[str, str] = field(default_factory=dict)
-    """Of the packages that started the run; information only."""
+    """Of the packages that started the run; information only. Each shard says its own."""
     schema_version: str = SCHEMA_VERSION
 
     @property
@@ -59,12 +61,14 @@ class RunSpec:
 
     def identity(self) -> dict[str, Any]:
         """What may never change in a run: everything but rounds, versions and paths."""
+        poses = {"rest_poses": self.rest_poses} if self.rest_poses else {}
         return {
             "kind": self.kind,
             "config": to_plain(self.config),
             "hands": {h.side: {"name": h.name, "spec_hash": h.spec_hash} for h in self.hands},
             "sizes_mm": list(self.sizes_mm),
             "setting": self.setting,
+            **poses,
             "library": {"fingerprint": self.source_fingerprint},
             "seed": self.seed,
         }
@@ -164,18 +168,3 @@ def portable_hand(hand: str, folder: Path) -> str:
         relative_to_run(Path(n), folder) if file else n
         for n, file in zip(names, is_file, strict=True)
     )
-
-
-def package_versions() -> dict[str, str]:
-    """Versions of the packages that decide results."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    from bidexdata import __version__
-
-    found = {"bidexdata": __version__}
-    for name in _PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found

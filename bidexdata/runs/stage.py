@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bidexdata.runs.executors import TaskFailure, run_tasks
+from bidexdata.runs.executors import TaskFailure, check_executor, run_tasks
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.plan import Task
 from bidexdata.runs.progress import Progress
@@ -24,6 +24,9 @@ class Execution:
     shard: tuple[int, int] | None = None
     """Part i of n of the plan, i from 0."""
     quiet: bool = False
+
+    def __post_init__(self) -> None:
+        check_executor(self.executor, self.workers)  # before anything is written
 
 
 @dataclass(frozen=True, slots=True)

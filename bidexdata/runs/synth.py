@@ -12,10 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bidexdata.config import fingerprint, from_plain, to_plain
-from bidexdata.errors import BadConfig, NotUsable
+from bidexdata.devices import check_device
+from bidexdata.errors import BadConfig, BadValue, NotUsable
+from bidexdata.kinds import kind_of
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.scene import Setting
 from bidexdata.runs.logs import log_to
+from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.plan import (
     Round,
     Task,
@@ -29,10 +32,8 @@ from bidexdata.runs.plan import (
 from bidexdata.runs.run import PLAN_FILE, Run, open_unchanged, refuse_foreign
 from bidexdata.runs.shards import done_tasks, shard_path, sweep, write_shard
 from bidexdata.runs.spec import (
-    RUN_FILE,
     RunSpec,
     grown,
-    package_versions,
     portable_hand,
     read_spec,
     relative_to_run,
@@ -47,6 +48,8 @@ if TYPE_CHECKING:
 PAPER_SIZES_MM = tuple(range(300, 801, 50))
 """The paper's eleven sizes, 0.30 to 0.80 m (section 6)."""
 DEFAULT_GRASPS = 10
+DEFAULT_REST_POSES = 1
+"""Rest poses of each object-size: objects have up to 16, and sizes multiply them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +61,8 @@ class SynthRequest:
     hand: str = "shadow"
     sizes_mm: tuple[int, ...] = PAPER_SIZES_MM
     setting: Setting = "floating"
+    rest_poses: int | None = None
+    """Rest poses used of each object, the most probable first; None: 1 on a table."""
     grasps: int | None = None
     """Grasps kept per scene; None: what the run has, or 10."""
     candidates: int | None = None
@@ -66,11 +71,17 @@ class SynthRequest:
 
     def __post_init__(self) -> None:
         if not self.sizes_mm or any(not 10 <= mm <= 5000 for mm in self.sizes_mm):
-            raise BadConfig("--sizes: give sizes in metres between 0.01 and 5, such as 0.3,0.5")
+            raise BadValue("--sizes: give sizes in metres between 0.01 and 5, such as 0.3,0.5")
         if self.grasps is not None and not 1 <= self.grasps <= 10_000:
-            raise BadConfig(f"--grasps {self.grasps}: give a number from 1 to 10000")
+            raise BadValue(f"--grasps {self.grasps}: give a number from 1 to 10000")
         if self.candidates is not None and self.candidates < (self.grasps or 1):
-            raise BadConfig(f"--candidates {self.candidates}: give at least one per grasp kept")
+            raise BadValue(f"--candidates {self.candidates}: give at least one per grasp kept")
+        if self.rest_poses is not None and self.setting == "floating":
+            raise BadConfig(
+                "--rest-poses belongs to --setting tabletop: a floating object has none"
+            )
+        if self.rest_poses is not None and self.rest_poses < 1:
+            raise BadValue(f"--rest-poses {self.rest_poses}: give at least 1")
 
 
 def synth_library(
@@ -107,28 +118,9 @@ def synth_library(
     )
 
 
-def check_device(device: str) -> None:
-    """Refuse a device that this machine does not have.
-
-    Raises:
-        NotUsable: Names the devices that there are.
-    """
-    if device == "cpu":
-        return
-    from bidexdata.devices import start_warp
-
-    start_warp()
-    import warp as wp
-
-    names = [d.alias for d in wp.get_devices()]
-    if device not in names and not (device == "cuda" and len(names) > 1):
-        known = ", ".join(names)
-        raise NotUsable(f"no device is called {device!r} here; this machine has: {known}")
-
-
 def start_run(library: Library, out: Path, request: SynthRequest) -> Run:
     """Create the run folder, or open it and let `--grasps` grow; write run.json and the plan."""
-    old = read_spec(out) if (out / RUN_FILE).exists() else None
+    old = read_spec(out) if kind_of(out) == "run" else None
     if old is None:
         refuse_foreign(out)
         sweep([out])
@@ -163,12 +155,30 @@ def _wanted(library: Library, out: Path, request: SynthRequest, old: RunSpec | N
         hands=tuple(h.header() for h in hands),
         sizes_mm=tuple(sorted(set(request.sizes_mm))),
         setting=request.setting,
+        rest_poses=_rest_poses(request),
+        without_scene=_without_scene(library, request),
         source=relative_to_run(library.path, out),
         source_fingerprint=library.fingerprint,
         seed=request.seed,
         rounds=(Round(grasps, candidates),),
         versions=package_versions(),
     )
+
+
+def _rest_poses(request: SynthRequest) -> int:
+    return 0 if request.setting == "floating" else request.rest_poses or DEFAULT_REST_POSES
+
+
+def _without_scene(library: Library, request: SynthRequest) -> tuple[str, ...]:
+    if request.setting == "floating":
+        return ()
+    poses = _poses_of(library)
+    return tuple(i for i in library.object_ids if not poses[i])
+
+
+def _poses_of(library: Library) -> dict[str, int]:
+    """Number of rest poses of each object."""
+    return {i: library.row(i)["rest_poses"] or 0 for i in library.object_ids}
 
 
 def _write_missing_rounds(library: Library, out: Path, spec: RunSpec, *, fresh: bool) -> None:
@@ -178,9 +188,10 @@ def _write_missing_rounds(library: Library, out: Path, spec: RunSpec, *, fresh: 
     known = {t.round for t in planned}
     if known == set(range(len(spec.rounds))):
         return
-    poses = {r["object_id"]: r["rest_poses"] or 0 for r in library.index.to_pylist()}
+    poses = _poses_of(library)
     scenes = {
-        i: scene_ids_of(i, spec.sizes_mm, spec.setting, poses.get(i, 0)) for i in library.object_ids
+        i: scene_ids_of(i, spec.sizes_mm, spec.setting, min(poses[i], spec.rest_poses))
+        for i in library.object_ids
     }
     new = [t for t in plan_tasks(scenes, spec.rounds) if t.round not in known]
     write_plan(path, [*planned, *new])
@@ -210,7 +221,7 @@ def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) ->
     )
     batch = with_run_header(batch, run)
     path = shard_path(run.stage_folder("rows"), task.task_id)
-    write_shard(path, batch.to_arrow(), run.fingerprint)
+    write_shard(path, batch.to_arrow(), run.fingerprint, device=device)
     counts: Counter[str] = Counter()
     for found in batch.header.counts.values():
         counts.update(found)

@@ -18,6 +18,7 @@ from bidexdata.formats.flat import GRASP, Verdicts, flat_rows, flat_schema
 from bidexdata.formats.tables import VERDICT_COLUMNS
 from bidexdata.record import GraspBatch
 from bidexdata.runs.browse import LibrarySource, ReleaseSource, RunSource, open_browsable
+from bidexdata.runs.finished import Finished
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.shards import write_atomically
 
@@ -103,18 +104,16 @@ def run_rows(run: Run, protocol: str) -> Iterator[pa.Table]:
     """The finished rows of a run, object by object."""
     import pyarrow as pa
 
-    tests = [t for p, t in run.verdict_tests() if p == protocol]
-    done, judged = run.done(), {t: run.done(protocol, t) for t in tests}
+    finished = Finished.of(run)
+    tests = [t for p, t in finished.tests if p == protocol]
     for object_id in run.object_ids:
         parts = []
-        for task in run.tasks_of(object_id):
-            if task.task_id not in done:
-                continue
+        for task in finished.tasks_of(run, object_id):
             batch = run.task_batch(task)
             verdicts = {
                 t: Verdicts(run.task_verdicts(task, batch, protocol, t), np.ones(len(batch), bool))
                 for t in tests
-                if task.task_id in judged[t]
+                if task.task_id in finished.verdicts[protocol, t]
             }
             parts.append(flat_rows(batch.columns, verdicts, protocol))
         if parts:

@@ -2,27 +2,45 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import time
 from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from bidexdata.config import from_plain, to_plain
+from bidexdata.config import differing_keys, from_plain, to_plain
 from bidexdata.errors import ConfigConflict, NotUsable
 from bidexdata.record import Status
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.plan import Task, take_shard
-from bidexdata.runs.run import Run, open_unchanged, verdict_batch, verdict_fingerprint
-from bidexdata.runs.shards import check_mark, done_tasks, shard_path, sweep, write_shard
+from bidexdata.runs.run import (
+    PROTOCOL_FILE,
+    Run,
+    open_unchanged,
+    verdict_batch,
+    verdict_fingerprint,
+)
+from bidexdata.runs.shards import (
+    check_mark,
+    done_tasks,
+    read_mark,
+    shard_path,
+    sweep,
+    write_shard,
+    write_text,
+)
 from bidexdata.runs.stage import Execution, StageReport, TaskSummary, run_stage
 
 if TYPE_CHECKING:
     from bidexdata.validation.protocols import Protocol
+
+Extra = Literal["load_margin", "analytic"]
+"""Columns that cost extra and are measured when asked for."""
 
 
 def validate_run(
@@ -31,6 +49,7 @@ def validate_run(
     tests: Sequence[str] = (),
     *,
     execution: Execution | None = None,
+    extras: Sequence[Extra] = (),
 ) -> dict[str, StageReport]:
     """Test every finished task of a run that is not tested yet.
 
@@ -39,6 +58,7 @@ def validate_run(
         protocol: Settings of the tests.
         tests: Names of tests; what the rows allow when empty.
         execution: Where and how.
+        extras: Columns to measure besides; tasks that were tested without are tested again.
 
     Returns:
         A report per test.
@@ -52,8 +72,9 @@ def validate_run(
     have = run.done()
     if not have:
         raise NotUsable(f"{run.path} has no finished task yet; run `bidexdata synth` first")
+    _store_protocol(run, protocol)
     tasks = [t for t in take_shard(run.tasks, execution.shard) if t.task_id in have]
-    return {test: _run_test(run, protocol, test, tasks, execution) for test in names}
+    return {test: _run_test(run, protocol, test, tasks, execution, tuple(extras)) for test in names}
 
 
 def allowed_tests(run: Run, protocol: Protocol, asked: Sequence[str]) -> tuple[str, ...]:
@@ -70,37 +91,76 @@ def allowed_tests(run: Run, protocol: Protocol, asked: Sequence[str]) -> tuple[s
     return tuple(dict.fromkeys(asked))
 
 
+def _store_protocol(run: Run, protocol: Protocol) -> None:
+    """Write the settings beside the verdicts, or check that they are the same.
+
+    Raises:
+        ConfigConflict: The run has verdicts of other settings under this name.
+    """
+    path = run.path / "validate" / protocol.name / PROTOCOL_FILE
+    if path.is_file():
+        known = to_plain(run.protocol(protocol.name))
+        differing = differing_keys(known, to_plain(protocol))
+        if differing:
+            raise ConfigConflict(path.parent, differing)
+        return
+    write_text(path, json.dumps(to_plain(protocol), indent=1, sort_keys=True) + "\n")
+
+
 def _run_test(
-    run: Run, protocol: Protocol, test: str, tasks: Sequence[Task], execution: Execution
+    run: Run,
+    protocol: Protocol,
+    test: str,
+    tasks: Sequence[Task],
+    execution: Execution,
+    extras: tuple[Extra, ...],
 ) -> StageReport:
     folder = run.stage_folder("validate", protocol.name, test)
     mark = verdict_fingerprint(run, protocol, test)
     sweep([folder])
     done = done_tasks(folder)
+    measured: set[Extra] = set(extras)
     for task in tasks:
         if task.task_id in done:
-            _check_settings(shard_path(folder, task.task_id), mark)
+            has = _extras_of(shard_path(folder, task.task_id), mark)
+            if not has >= set(extras):
+                done.remove(task.task_id)
+                measured |= has  # what was measured once is not lost
     return run_stage(
         tasks,
         done,
-        partial(_validate_task, str(run.path), run.fingerprint, to_plain(protocol), test),
+        partial(
+            _validate_task,
+            str(run.path),
+            run.fingerprint,
+            to_plain(protocol),
+            test,
+            tuple(sorted(measured)),
+        ),
         unit="tasks",
         logs=run.path / "logs",
         execution=execution,
     )
 
 
-def _check_settings(path: Path, mark: str) -> None:
+def _extras_of(path: Path, mark: str) -> set[Extra]:
     try:
         check_mark(path, mark)
     except ConfigConflict as err:
         changed = f"the run, or settings of protocol {path.parents[2].name!r}, that the shard is of"
         raise ConfigConflict(path, [changed]) from err
+    return set(read_mark(path).notes.get("extras", ()))
 
 
 def _validate_task(
-    run_path: str, run_fingerprint: str, protocol_data: dict, test: str, task: Task
+    run_path: str,
+    run_fingerprint: str,
+    protocol_data: dict,
+    test: str,
+    extras: tuple[Extra, ...],
+    task: Task,
 ) -> TaskSummary:
+    from bidexdata.validation import stages
     from bidexdata.validation.protocols import Protocol
     from bidexdata.validation.validate import validate_grasps
 
@@ -108,11 +168,15 @@ def _validate_task(
     log_to(run.path / "logs")
     start = time.monotonic()
     protocol = from_plain(Protocol, protocol_data)
+    how = stages.Execution(load_margin="load_margin" in extras, analytic="analytic" in extras)
     batch = run.task_batch(task)
-    columns = validate_grasps(batch, run.load_solid(task.object_id), run.hands(), protocol, test)
+    columns = validate_grasps(
+        batch, run.load_solid(task.object_id), run.hands(), protocol, test, execution=how
+    )
     verdicts = verdict_batch(batch.header, batch["grasp_id"], columns)
     path = shard_path(run.stage_folder("validate", protocol.name, test), task.task_id)
-    write_shard(path, verdicts.to_arrow(), verdict_fingerprint(run, protocol, test))
+    notes = {"extras": list(extras), "execution": to_plain(how)}
+    write_shard(path, verdicts.to_arrow(), verdict_fingerprint(run, protocol, test), notes=notes)
     labels = [Status(int(s)).label for s in columns["verdict_status"]]
     seconds = time.monotonic() - start
     logging.getLogger(__name__).info(

@@ -15,14 +15,14 @@ import signal
 import sys
 import threading
 import time
-import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection, wait
 from typing import Any, Literal
 
 from bidexdata.errors import NotUsable
+from bidexdata.runs.boundary import Raised, call_task
 
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -157,7 +157,7 @@ class WorkerPool:
                 elif kind == "broken":
                     raise NotUsable(f"a worker process cannot run the task function: {body}")
                 else:
-                    found.append(body)
+                    found.append(_outcome(*body))
                     worker.task = None
         except (EOFError, OSError, pickle.UnpicklingError):
             found += self._bury(worker)
@@ -192,10 +192,9 @@ def _serve(pipe: Connection, pickled_work: bytes) -> None:
     """The life of a worker process: take a task, answer, until the parent closes the pipe."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent acts
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    try:
-        work = pickle.loads(pickled_work)  # noqa: S301 - sent by our own parent process
-    except Exception as err:
-        pipe.send(("broken", f"{type(err).__name__}: {err}"))
+    work = call_task(_unpickle, pickled_work)  # imports the caller's module, which may raise
+    if isinstance(work, Raised):
+        pipe.send(("broken", work.reason))
         return
     _single_threaded_torch()
     pipe.send(("ready", None))
@@ -204,23 +203,33 @@ def _serve(pipe: Connection, pickled_work: bytes) -> None:
             number, payload = pipe.recv()
         except (EOFError, OSError):
             return
-        outcome = _do(work, number, payload)
+        answer = _answer(work, payload)
         try:
-            pipe.send(("outcome", outcome))
-        except OSError:
+            pipe.send(("answer", (number, answer)))
+        except OSError:  # the parent is gone
             return
-        except Exception as err:  # a result that cannot be pickled
-            reason = f"the result cannot be sent: {type(err).__name__}: {err}"
-            pipe.send(("outcome", Outcome(number, "exception", reason=reason)))
 
 
-def _do(work: Callable[[Any], Any], number: int, payload: bytes) -> Outcome:
-    try:
-        return Outcome(number, "done", work(pickle.loads(payload)))  # noqa: S301 - own parent
-    except Exception as err:  # the task boundary: one bad task does not end the run
-        lines = str(err).strip().splitlines()
-        reason = f"{type(err).__name__}: {lines[0]}" if lines else type(err).__name__
-        return Outcome(number, "exception", reason=reason, details=traceback.format_exc())
+def _answer(work: Callable[[Any], Any], payload: bytes) -> bytes | Raised:
+    """Do one task; its value is pickled here, so that nothing of it can break the pipe."""
+    value = call_task(lambda task: work(_unpickle(task)), payload)
+    if isinstance(value, Raised):
+        return value
+    pickled = call_task(pickle.dumps, value)
+    if isinstance(pickled, Raised):
+        return replace(pickled, reason=f"the result cannot be sent: {pickled.reason}")
+    return pickled
+
+
+def _outcome(number: int, answer: bytes | Raised) -> Outcome:
+    value = answer if isinstance(answer, Raised) else call_task(_unpickle, answer)
+    if isinstance(value, Raised):
+        return Outcome(number, "exception", reason=value.reason, details=value.details)
+    return Outcome(number, "done", value)
+
+
+def _unpickle(data: bytes) -> Any:
+    return pickle.loads(data)  # noqa: S301 - sent by the other end of our own pipe
 
 
 def _end_with_parent() -> None:

@@ -71,7 +71,6 @@ def scene_spec(
 
 
 def _add_hand(spec: mujoco.MjSpec, hand: Hand, index: int, settings: SceneSettings) -> None:
-    import mujoco
 
     child = hand.make_spec()
     # Options of the scene are set on the compiled model: equal ones here keep `attach` quiet.

@@ -18,6 +18,7 @@ from bidexdata.frames import matrix_from_quat, quat_conjugate, quat_multiply
 from bidexdata.record import Scene, Status
 from bidexdata.synthesis.placement import place_palms
 from bidexdata.synthesis.regions import select_region_pairs
+from bidexdata.synthesis.table import table_plane
 from bidexdata.synthesis.workspace import Start
 
 if TYPE_CHECKING:
@@ -61,15 +62,26 @@ def draw_attempts(
     config: SynthConfig,
     seed: int,
     count: int,
+    *,
+    grown: bool = False,
 ) -> Attempts:
-    """Choose region pairs and place the palms for `count` attempts of a scene."""
+    """Choose region pairs and place the palms for `count` attempts of a scene.
+
+    Args:
+        obj: The object.
+        hands: Left and right.
+        scene: Of this object.
+        config: Of the whole synthesis.
+        seed: Of this round of the run.
+        count: M.
+        grown: Earlier rounds have made attempts of this scene; they may have had the same pairs.
+    """
     own = scene_seed(seed, scene.scene_id)
     pairs = select_region_pairs(obj, scene, config.regions, np.random.default_rng([own, 0]))
     if len(pairs.score) == 0:
         return _without_start(hands, scene, own, count)
-    placed = place_palms(
-        obj, hands, scene, pairs, config.placement, np.random.default_rng([own, 1]), count
-    )
+    rng = np.random.default_rng([own, 1])
+    placed = place_palms(obj, hands, scene, pairs, config.placement, rng, count, grown=grown)
     ok, pair = placed.ok, placed.pair_index
     position, quat = _in_object_frame(scene, placed.hand_pos[ok], placed.hand_quat[ok])
     joints = [placed.joints[ok, h, : len(hand.joint_names)] for h, hand in enumerate(hands)]
@@ -91,14 +103,6 @@ def draw_attempts(
         region_score=pairs.score[pair],
         start=start,
     )
-
-
-def table_plane(scene: Scene) -> Float[np.ndarray, " 4"]:
-    """The table of a scene as seen from its object: normal . x + offset is the height over it."""
-    if scene.setting == "floating":
-        return np.zeros(4)
-    up = matrix_from_quat(np.array(scene.object_quat_wxyz))[2]
-    return np.append(up, scene.object_pos[2])
 
 
 def gather_starts(attempts: Sequence[Attempts]) -> Start:

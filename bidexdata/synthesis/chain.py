@@ -66,10 +66,11 @@ def target_term(ws: Workspace, energy: EnergyConfig, target: float) -> list[Call
 
 
 def region_term(ws: Workspace, energy: EnergyConfig) -> list[Call]:
-    """Distance of the contacts to their hand's region."""
+    """Distance of the contacts to their hand's region; adds to centre and normal gradient."""
     c = ws.contacts
-    arguments = [c.hand, energy.region, energy.region_threshold, c.regions, c.centres]
-    arguments += [c.region_energy, c.centre_gradient]
+    arguments = [c.hand, c.radius, energy.region, energy.region_threshold]
+    arguments += [c.regions, c.centres, c.normals_in]
+    arguments += [c.region_energy, c.centre_gradient, c.normal_gradient]
     return [_record(ws, contact_kernels.contact_region, c.centres.shape, arguments)]
 
 

@@ -1,8 +1,10 @@
 """Energies of the contact points: distance, region, pad angle, fixed targets.
 
-Axes: N grasps, M contact points of both hands (left first). Gradients are with respect to contact
-centres, pad normals and inward surface normals; `distance_field_kernels.surface_chain` carries
-the last to the centres. The float64 reference is in `energies.py`.
+Axes: N grasps, M contact points of both hands (left first). A hand's contact is a sphere; the
+paper's contact point c_iw is the sphere's point that faces the surface, centre + radius x inward
+normal, in every term. Gradients are with respect to contact centres, pad normals and inward
+surface normals; `distance_field_kernels.surface_chain` carries the last to the centres. The float64
+reference is in `energies.py`.
 """
 
 import warp as wp
@@ -70,19 +72,22 @@ def contact_target(
 def contact_region(
     # Hand:
     side: wp.array[int],
+    radius: wp.array[float],
     # Energy:
     weight: float,
     threshold: float,
     # Problem in:
     regions_in: wp.array3d[wp.vec3],
     centres_in: wp.array2d[wp.vec3],
+    normals_in_in: wp.array2d[wp.vec3],
     # Problem out:
     energy_out: wp.array2d[float],
     centre_gradient_inout: wp.array2d[wp.vec3],
+    normal_gradient_inout: wp.array2d[wp.vec3],
 ):
-    """Penalty of each centre's distance to the nearest point of its hand's region, (N, H, k)."""
+    """Penalty of each contact point's distance to the nearest of its hand's region, (N, H, k)."""
     grasp, i = wp.tid()
-    c = centres_in[grasp, i]
+    c = centres_in[grasp, i] + radius[i] * normals_in_in[grasp, i]
     h = side[i]
     nearest = c - regions_in[grasp, h, 0]
     best = wp.length_sq(nearest)
@@ -96,9 +101,9 @@ def contact_region(
     phi = region_penalty(d, threshold)
     energy_out[grasp, i] = phi[0]
     if phi[1] > 0.0:
-        centre_gradient_inout[grasp, i] = (
-            centre_gradient_inout[grasp, i] + (weight * phi[1] / d) * nearest
-        )
+        slope = (weight * phi[1] / d) * nearest
+        centre_gradient_inout[grasp, i] = centre_gradient_inout[grasp, i] + slope
+        normal_gradient_inout[grasp, i] = normal_gradient_inout[grasp, i] + radius[i] * slope
 
 
 @wp.kernel

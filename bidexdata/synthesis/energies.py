@@ -44,6 +44,18 @@ def region_penalty(
     return blend * x, np.where(t < 1, (9 - 8 * t) * t * t, 1.0)
 
 
+def contact_points(
+    centres: Float[np.ndarray, "*b n 3"],
+    normals_in: Float[np.ndarray, "*b n 3"],
+    radius: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "*b n 3"]:
+    """Give c_iw: the point of each contact sphere that faces the surface [m].
+
+    On it every term is taken: its distance to the surface is that of the centre less the radius.
+    """
+    return centres + radius[:, None] * normals_in
+
+
 def distance_energy(
     distance: Float[np.ndarray, "*b n"],
     direction: Float[np.ndarray, "*b n 3"],
@@ -72,7 +84,7 @@ def target_energy(
     radius: Float[np.ndarray, " n"],
     target: float,
 ) -> Term:
-    """Sum the squared distances of centres from their places above frozen surface points [m2].
+    """Sum the squared distances of pads from their places above frozen surface points [m2].
 
     Source:
         BODex, stages 2 and 3 (contact points and normals frozen at the switch).
@@ -83,14 +95,19 @@ def target_energy(
 
 
 def region_energy(
-    centres: Float[np.ndarray, "*b n 3"], region: Float[np.ndarray, "*b k 3"], a: float
+    contacts: Float[np.ndarray, "*b n 3"], region: Float[np.ndarray, "*b k 3"], a: float
 ) -> Term:
-    """Sum phi of each centre's distance to the nearest point of one hand's region [m].
+    """Sum phi of each contact point's distance to the nearest point of one hand's region [m].
+
+    Args:
+        contacts: From `contact_points`; the gradient is with respect to them.
+        region: Points of the hand's region [m].
+        a: Threshold of phi [m].
 
     Source:
         BiDexGrasp, section 4.3 and appendix B, E_region.
     """
-    offsets = centres[..., :, None, :] - region[..., None, :, :]
+    offsets = contacts[..., :, None, :] - region[..., None, :, :]
     squared = np.sum(offsets**2, axis=-1)
     best = np.argmin(squared, axis=-1)[..., None]
     d = np.sqrt(np.take_along_axis(squared, best, axis=-1))[..., 0]

@@ -82,8 +82,8 @@ def joint_torques(
     """Generalised torques J^T f [N m] on each hand's free variables that exert forces [N].
 
     Args:
-        ws: Holds the state at the grasp; its gradients are overwritten.
-        forces: On the object at the contact points, object frame [N].
+        ws: Holds the state at the grasp; its contact centres and gradients are overwritten.
+        forces: On the object at its surface points under the pads, object frame [N].
     """
     import warp as wp
 
@@ -93,6 +93,10 @@ def joint_torques(
     c.pad_gradient.zero_()
     for hand in ws.hands:
         hand.points.sphere_grad.zero_()
-    for call in [*chain.kinematics(ws), *chain.backward(ws)]:
-        call()
+    for place in chain.kinematics(ws):
+        place()
+    # The fingers feel the forces where they touch, not at the middle of their contact spheres.
+    wp.copy(c.centres, c.points)
+    for pull in chain.backward(ws):
+        pull()
     return [hand.points.gradient.numpy()[:, 6:].astype(np.float64) for hand in ws.hands]

@@ -146,8 +146,8 @@ def _approach(ws: Workspace, config: OptimiseConfig) -> None:
     step = [
         *run,
         *chain.distance_term(ws, energy, phase.distance),
-        *chain.region_term(ws, energy),
         *chain.closure_term(ws, qp, weights, constants, closure.iterations),
+        *chain.region_term(ws, energy),
         *chain.pad_term(ws, energy),
         *chain.chain_to_centres(ws, energy),
         *chain.collision_terms(ws, energy),

@@ -74,18 +74,21 @@ class EnergyConfig:
     """The upper level: weights and thresholds of the other energy terms."""
 
     distance: float = 1000.0
-    """Weight of the squared contact distances [1/m2]. Measurements, 4; paper 5.2 has 100."""
+    """Weight of the squared contact distances [1/m2]. Measurements, 4; paper 6.2 has 100."""
     region: float = 2.0
-    """Weight of E_region [1/m]. Measurements, 4; paper 5.2 has 50."""
+    """Weight of E_region [1/m]. Measurements, 4; paper 6.2 has 50."""
     region_distance: Literal["anchor", "points"] = "anchor"
-    """Distance to the region: to its centre, or to the nearest of its points (paper 4.3)."""
+    """Distance of a contact point to its region: to the region's centre (measurements, 3), or to
+    the nearest of its points (paper, appendix B)."""
     region_threshold: float = 0.06
-    """Threshold a of phi [m]; b = 2 a. Measurements, 3: hinge at 6 cm from the anchor. Not in
-    the paper."""
+    """Threshold a of phi [m]; b = 2 a. The prototype's, for the distance to the centre, and not
+    varied there (measurements, 3 and 4). The paper gives no value."""
     penetration: float = 20_000.0
-    """Weight of squared hand-object sphere depths [1/m2]. Measurements, 3."""
+    """Weight of squared hand-object sphere depths [1/m2]. Measurements, 3; the paper gives no
+    value."""
     self_penetration: float = 2_000.0
-    """Weight of squared sphere overlaps within and between hands [1/m2]. Measurements, 4."""
+    """Weight of squared sphere overlaps within and between hands [1/m2]. Measurements, 4; the paper
+    gives no value."""
     pad: float = 0.1
     """Weight of the pad-angle hinge [-]. Measurements, 4."""
     pad_cosine: float = 0.75

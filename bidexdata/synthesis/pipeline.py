@@ -26,6 +26,7 @@ from bidexdata.synthesis.staging import squeeze
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
     from bidexdata.objects.prepared import PreparedObject
+    from bidexdata.simulation.scene import SimScene
 
 
 class Staged(NamedTuple):
@@ -77,7 +78,8 @@ def synthesize(
     if any(s.object_id != obj.object_id for s in scenes):
         raise ValueError(f"every scene must be one of {obj.object_id}")
     count = candidates or config.selection.candidates_per_grasp * grasps
-    attempts = [draw_attempts(obj, hands, s, config, seed, count) for s in scenes]
+    grown = first_attempt > 0
+    attempts = [draw_attempts(obj, hands, s, config, seed, count, grown=grown) for s in scenes]
     staged = _grasp(obj, hands, attempts, config, device)
     made = []
     for one, rows in zip(attempts, _rows_per_scene(attempts), strict=True):
@@ -125,48 +127,64 @@ def _grasp(
     torques = joint_torques(found.workspace, forces.forces * scale[:, :, None, None])
     target = squeeze(found.pregrasp, found.grasp, torques, hands, staging)
     finite = found.pregrasp.finite() & found.grasp.finite() & target.finite()
-    depth, among, table = _pregrasp_depths(obj, hands, attempts, found.pregrasp, finite)
+    stages = (found.pregrasp, found.grasp, target)
+    depth, among, table = _depths(obj, hands, attempts, stages, finite)
     status = judge(finite, found.gaps, depth, config.selection, among_hands=among, table=table)
     return Staged(found, target, forces, scale, depth, status)
 
 
-def _pregrasp_depths(
+def _depths(
     obj: PreparedObject,
     hands: tuple[Hand, Hand],
     attempts: Sequence[Attempts],
-    pregrasp: Pose,
+    stages: tuple[Pose, Pose, Pose],
     finite: np.ndarray,
 ) -> np.ndarray:
-    """Deepest overlaps of each pre-grasp on the hands' own geometry [m].
+    """Deepest overlaps of each attempt on the hands' own geometry [m].
 
     Returns:
-        Hands with the object, among the hands, and with the table, (3, K).
+        At the pre-grasp hands with the object and among the hands; hands with the table at the
+        stage where they are deepest in it, (3, K).
     """
-    from bidexdata.simulation.distances import pregrasp_penetration
+    from bidexdata.simulation.scene import build_scene
 
     depths = np.full((3, len(finite)), np.nan)
-    joints = max(len(h.joint_names) for h in hands)
     for one, every in zip(attempts, _rows_per_scene(attempts), strict=True):
         rows = every[finite[every]]
         if len(rows) == 0:
             continue
-        padded = np.full((len(rows), 2, joints), np.nan)
-        for h in range(2):
-            padded[:, h, : pregrasp.joints[h].shape[1]] = pregrasp.joints[h][rows]
-        # In the world, where the table is z = 0; a floating object is at the identity there.
-        origin, turn = np.array(one.scene.object_pos), np.array(one.scene.object_quat_wxyz)
-        depths[:, rows] = pregrasp_penetration(
+        on_table = one.scene.setting == "tabletop"
+        built = build_scene(hands, obj, one.scene.size, table=on_table)
+        depths[:, rows] = _overlaps(built, obj, one.scene, stages[0].rows(rows))
+        for pose in stages[1:] if on_table else ():
+            table = _overlaps(built, obj, one.scene, pose.rows(rows))[2]
+            depths[2, rows] = np.maximum(depths[2, rows], table)
+    return depths
+
+
+def _overlaps(built: SimScene, obj: PreparedObject, scene: Scene, pose: Pose) -> np.ndarray:
+    """Overlaps of one stage: hands with the object, among the hands, with the table [m], (3, n)."""
+    from bidexdata.simulation.distances import pregrasp_penetration
+
+    hands = built.hands
+    padded = np.full((len(pose.position), 2, max(len(h.joint_names) for h in hands)), np.nan)
+    for h, joints in enumerate(pose.joints):
+        padded[:, h, : joints.shape[1]] = joints
+    # In the world, where the table is z = 0; a floating object is at the identity there.
+    origin, turn = np.array(scene.object_pos), np.array(scene.object_quat_wxyz)
+    return np.stack(
+        pregrasp_penetration(
             hands,
             obj,
-            one.scene.size,
+            scene.size,
             origin,
             turn,
-            quat_rotate(turn, pregrasp.position[rows]) + origin,
-            quat_multiply(turn, pregrasp.quat_wxyz[rows]),
+            quat_rotate(turn, pose.position) + origin,
+            quat_multiply(turn, pose.quat_wxyz),
             padded,
-            table=one.scene.setting == "tabletop",
+            scene=built,
         )
-    return depths
+    )
 
 
 def _rows_per_scene(attempts: Sequence[Attempts]) -> list[np.ndarray]:

@@ -2,8 +2,9 @@
 
 A hand hangs over the point of the hull that is nearest to its region, palm normal against the
 hull's, so far out that its lowest fingertip and all its spheres are clear of the hull. The object
-lies inside its hull, so no start touches it. Starts in which the hands meet each other or the table
-are drawn anew.
+lies inside its hull, so no start touches it. On a table, fingers point down rather than up, and a
+hand that would reach into the table is moved up along the hull, as far as it may. Starts in which
+the hands meet each other or the table are drawn anew.
 
 Source: BiDexGrasp 4.2 and appendix B; distances and spreads are ours (the paper gives none).
 """
@@ -26,14 +27,18 @@ from bidexdata.record.scene import Scene
 from bidexdata.synthesis.placement_shapes import (
     StartShape,
     hands_apart,
+    roll_from_down,
     start_shapes,
     tangent_frames,
 )
 from bidexdata.synthesis.regions import RegionPairs
 from bidexdata.synthesis.regions_build import hull_depth
+from bidexdata.synthesis.table import raise_hands, table_plane
 
-# Numbers that one hand's start draws: roll, tilt angle, tilt direction, two shifts.
+# Numbers that one hand's start draws: roll, tilt angle, tilt direction, two shifts; and where
+# within its region it hangs, if that is drawn: which point, and how far towards it.
 _DRAWS = 5
+_PLACE_DRAWS = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,9 +55,21 @@ class PlacementConfig:
     between hands of measurements, 4."""
     over: Literal["contacts", "palm"] = "contacts"
     """What hangs over the hull point: the middle of the contact points, or the palm (paper)."""
+    repeats: Literal["centre", "region"] = "centre"
+    """Where a pair's attempts after its first start. `centre`: over the region's centre again, so
+    that roll, tilt and shift alone tell them apart. `region`: over a point drawn within the region
+    (paper 4.2: initial poses are sampled within the regions). Ours: the paper does not say how the
+    20 grasps of a world differ."""
     roll: float = pi
     """Largest turn about the palm normal from the preferred direction [rad]: pi is any roll
     (no effect on success; measurements, 2), 0 the paper's preferred direction."""
+    table_fingers: Literal["down", "preferred"] = "down"
+    """Where the fingers point on a table. `down`: within `table_roll` of straight down, so that the
+    arms come from above; a palm that faces down has any roll. `preferred`: as when floating."""
+    table_roll: float = pi / 2
+    """Largest turn from fingers down [rad]. Ours."""
+    table_raise: float = 0.06
+    """Farthest way along the hull that a hand is moved up to clear the table [m]. Ours."""
     left_direction: tuple[float, float, float] = (1.0, -1.0, -1.0)
     """Preferred direction of the left hand's fingers in the world. Paper, appendix B."""
     right_direction: tuple[float, float, float] = (1.0, 1.0, -1.0)
@@ -74,6 +91,8 @@ class PlacementConfig:
             "standoff": (0.0, 1.0),
             "clearance": (0.0, 1.0),
             "roll": (0.0, pi),
+            "table_roll": (0.0, pi),
+            "table_raise": (0.0, 1.0),
             "tilt": (0.0, pi / 4),
             "shift": (0.0, 1.0),
             "flat": (0.0, 2.0),
@@ -113,8 +132,10 @@ def place_palms(
     config: PlacementConfig,
     rng: np.random.Generator,
     count: int,
+    *,
+    grown: bool = False,
 ) -> Placement:
-    """Place both hands for attempts 0 .. count - 1, which take the region pairs in turn.
+    """Place both hands for `count` attempts, which take the region pairs in turn.
 
     An attempt's draws do not depend on how many attempts follow it.
 
@@ -126,37 +147,54 @@ def place_palms(
         config: Distances and spreads.
         rng: Draws `config.draws` variations of every attempt, used or not.
         count: M.
+        grown: Earlier attempts of the scene exist, so every pair may have had its first.
     """
-    pair_index = np.arange(count) % min(len(pairs.score), config.pairs)
-    lots = rng.random((count, config.draws, 2, _DRAWS))
-    centres = pairs.centres[pair_index]
-    depth, normal = hull_depth(obj, scene.size, centres.reshape(-1, 3))
-    normal = normal.reshape(count, 2, 3)
-    over = centres + depth.reshape(count, 2, 1) * normal
+    used = min(len(pairs.score), config.pairs)
+    pair_index = np.arange(count) % used
+    draws = _DRAWS + (_PLACE_DRAWS if config.repeats == "region" else 0)
+    lots = rng.random((count, config.draws, 2, draws))
+    first = (np.arange(count) < used) & (not grown)
+    places = _places(pairs, pair_index, first, lots[..., _DRAWS:])
+    depth, normal = hull_depth(obj, scene.size, places.reshape(-1, 3))
+    normal = normal.reshape(places.shape)
+    over = places + depth.reshape(*places.shape[:-1], 1) * normal
     flat = pairs.flatness[pair_index] < config.flat
     shapes = [start_shapes(hand, config.over) for hand in hands]
 
     pos, quat = np.zeros((count, 2, 3)), np.zeros((count, 2, 4))
     spheres: list[list[np.ndarray]] = [[], []]
     ok = np.zeros(count, bool)
+    on_table, plane = scene.setting == "tabletop", table_plane(scene)
     todo = np.arange(count)
     for draw in range(config.draws):
         spheres = [[], []]
+        place = min(draw, places.shape[1] - 1)
+        free = np.ones(len(todo), bool)
         for h in range(2):
+            direction = _preferred(scene, config, h)
+            drawn = _variation(lots[todo, draw, h, :_DRAWS], config, mirrored=h == 0)
+            if on_table and config.table_fingers == "down":
+                turn = drawn.share * config.table_roll
+                palms = (normal[todo, place, h], direction, -plane[:3])
+                drawn = drawn._replace(roll=roll_from_down(turn, drawn.roll, *palms))
             p, R, balls = _hang(
                 shapes[h],
                 flat[todo, h],
-                over[todo, h],
-                normal[todo, h],
-                _preferred(scene, config, h),
-                _variation(lots[todo, draw, h], config, mirrored=h == 0),
+                over[todo, place, h],
+                normal[todo, place, h],
+                direction,
+                drawn,
                 config,
             )
+            radius = shapes[h][0].sphere_radius
+            if on_table:
+                clear = (config.clearance, config.table_raise)
+                raised = raise_hands(balls, radius, normal[todo, place, h], plane, *clear)
+                p, balls = p + raised.shift, balls + raised.shift[:, None]
+                free &= raised.ok
             pos[todo, h], quat[todo, h] = p, frames.quat_from_matrix(R)
-            spheres[h] = [balls, shapes[h][0].sphere_radius]
-        free = hands_apart(spheres[0], spheres[1], config.clearance)
-        if scene.setting == "tabletop":
-            free &= _above_table(scene, spheres, config.clearance)
+            spheres[h] = [balls, radius]
+        free &= hands_apart(spheres[0], spheres[1], config.clearance)
         ok[todo[free]] = True
         todo = todo[~free]
         if not len(todo):
@@ -165,9 +203,35 @@ def place_palms(
     return Placement(pair_index, world_pos, world_quat, _postures(hands, shapes, flat), ok)
 
 
+def _places(
+    pairs: RegionPairs,
+    pair_index: Int[np.ndarray, " M"],
+    first: Bool[np.ndarray, " M"],
+    lots: Float[np.ndarray, "M d 2 n"],
+) -> Float[np.ndarray, "M p 2 3"]:
+    """Points of the object that the hands hang over in each draw [m], one draw where all are alike.
+
+    Args:
+        pairs: Gives the regions.
+        pair_index: Region pair of each attempt.
+        first: Attempts that take the regions' centres.
+        lots: Which of a region's points, and how far from the centre to it; n = 0 where every
+            attempt takes the centres.
+    """
+    centre = pairs.centres[pair_index][:, None]
+    if lots.shape[-1] == 0:
+        return centre
+    which = (lots[..., 0] * pairs.points.shape[2]).astype(np.int64)
+    point = pairs.points[pair_index[:, None, None], np.arange(2), which]
+    drawn = centre + lots[..., 1:] * (point - centre)
+    return np.where(first[:, None, None, None], centre, drawn)
+
+
 class _Variation(NamedTuple):
     """What one start draws; in the palm frame."""
 
+    share: Float[np.ndarray, " n"]
+    """Of the largest roll, -1 to 1."""
     roll: Float[np.ndarray, " n"]
     """About the palm normal [rad]."""
     tilt: Float[np.ndarray, "n 3"]
@@ -187,7 +251,8 @@ def _variation(
         [side * angle * np.cos(heading), angle * np.sin(heading), np.zeros_like(angle)], axis=1
     )
     shift = config.shift * (2.0 * lots[:, 3:5] - 1.0) * np.array([1.0, side])
-    return _Variation(side * config.roll * (2.0 * lots[:, 0] - 1.0), tilt, shift)
+    share = 2.0 * lots[:, 0] - 1.0
+    return _Variation(side * share, side * config.roll * share, tilt, shift)
 
 
 def _hang(
@@ -239,18 +304,6 @@ def _preferred(scene: Scene, config: PlacementConfig, side: int) -> Float[np.nda
     world = np.array(config.left_direction if side == 0 else config.right_direction)
     to_object = frames.quat_conjugate(np.array(scene.object_quat_wxyz))
     return frames.quat_rotate(to_object, world / np.linalg.norm(world))
-
-
-def _above_table(
-    scene: Scene, spheres: list[list[np.ndarray]], clearance: float
-) -> Bool[np.ndarray, " n"]:
-    """Tell which starts keep all spheres above the table's plane z = 0 of the world."""
-    up = frames.matrix_from_quat(np.array(scene.object_quat_wxyz))[2]
-    clear = [
-        (balls @ up + scene.object_pos[2] - radius).min(axis=1) >= clearance
-        for balls, radius in spheres
-    ]
-    return clear[0] & clear[1]
 
 
 def _in_world(

@@ -13,6 +13,8 @@ from bidexdata.hands.model import Hand
 
 # A preferred direction this close to the palm normal (sine) says nothing about the roll.
 _PARALLEL = 1e-3
+# A palm faces sideways when its normal is more than 30 degrees (cosine) from the vertical.
+_SIDEWAYS = 0.87
 
 
 class StartShape(NamedTuple):
@@ -73,6 +75,32 @@ def tangent_frames(
     if lost.any():
         x[lost] = frames.rotation_with_z(z[lost])[:, :, 0]
     return np.stack([x, np.cross(z, x), z], axis=-1)
+
+
+def roll_from_down(
+    turn: Float[np.ndarray, " n"],
+    roll: Float[np.ndarray, " n"],
+    normal: Float[np.ndarray, "n 3"],
+    direction: Float[np.ndarray, " 3"],
+    down: Float[np.ndarray, " 3"],
+) -> Float[np.ndarray, " n"]:
+    """Turn from fingers down where the palm faces sideways, else from the preferred direction.
+
+    Args:
+        turn: From fingers down [rad].
+        roll: From the preferred direction [rad].
+        normal: Outward hull normals, object frame.
+        direction: Preferred direction of the fingers.
+        down: Where the table is.
+
+    Returns:
+        Turns from the preferred direction [rad].
+    """
+    # Sums and not products with BLAS, so that the number of starts cannot change the rounding.
+    across = np.sum(tangent_frames(-normal, direction) * down[:, None], axis=1)
+    of_down = np.arctan2(across[:, 1], across[:, 0])
+    sideways = np.abs(np.sum(normal * down, axis=1)) < _SIDEWAYS
+    return np.where(sideways, of_down + turn, roll)
 
 
 def hands_apart(

@@ -3,7 +3,8 @@
 The defaults are what measures best. `paper` is the literal paper: `_PAPER` sets what the
 paper has otherwise or has not, `PAPER_GIVEN` names the defaults that are the paper's own values,
 `PAPER_OPEN` what stands in where the paper leaves a constant open, and `PAPER_IDLE` what has no
-effect once the rest is set. Together they name every field of `SynthConfig`.
+effect once the rest is set. Together they name every field of `SynthConfig`. "Measurements, n" is
+docs/measurements.md, section n: found beside the default weights, not beside the paper's.
 """
 
 from __future__ import annotations
@@ -40,7 +41,11 @@ class Kept(NamedTuple):
 
 
 _PAPER = (
-    Change("regions.score", "force", "4.2: s = min over t_j of max over k of t_j . w_k"),
+    Change(
+        "regions.score",
+        "force",
+        "4.2: s = min over t_j of max over k of t_j . w_k; the maximum exact, not TDG's estimate",
+    ),
     Change("regions.same_side", -2.0, "4.2: all points within the radius, either sheet"),
     Change("regions.wide", 10.0, "appendix B: pairs are dropped by the gap alone"),
     Change("regions.depth", 10.0, "appendix B: pairs are dropped by the gap alone"),
@@ -51,13 +56,19 @@ _PAPER = (
     Change("placement.roll", 0.0, "appendix B: fingers as close as possible to a given direction"),
     Change("placement.tilt", 0.0, "4.2: orientation aligned with the surface normal"),
     Change("placement.shift", 0.0, "4.2: the palm at the closest point"),
+    Change("placement.repeats", "region", "4.2: initial poses are sampled within the regions"),
     Change("placement.flat", 0.005, "appendix B: flat when V < 0.005"),
+    Change("placement.table_fingers", "preferred", "appendix B: the direction is given per hand"),
     Change("optimise.closure.groups", "decoupled", "4.3: Q of each hand alone"),
     Change("optimise.closure.disturbances", "forces", "3: six forces along +-x, +-y, +-z"),
-    Change("optimise.closure.weight_decoupled", 1000.0, "6.1: w_QP"),
-    Change("optimise.energy.distance", 100.0, "6.1: w_dis"),
-    Change("optimise.energy.region", 50.0, "6.1: w_region"),
-    Change("optimise.energy.region_distance", "points", "4.3: distance to the nearest of k points"),
+    Change("optimise.closure.weight_decoupled", 1000.0, "6.2: w_QP"),
+    Change("optimise.energy.distance", 100.0, "6.2: w_dis"),
+    Change("optimise.energy.region", 50.0, "6.2: w_region"),
+    Change(
+        "optimise.energy.region_distance",
+        "points",
+        "appendix B: d_i = min over r in R of |c_iw - r|",
+    ),
     Change(
         "optimise.energy.region_threshold", 0.01, "open in the paper; ours, an eighth of the radius"
     ),
@@ -89,27 +100,40 @@ PAPER_GIVEN = (
 )
 
 PAPER_OPEN = (
-    Kept("optimise.closure.friction", "our measurement (0.1 to 0.6 differ by 3 points)"),
+    Kept("optimise.closure.friction", "measurements, 3 (0.1 to 0.6 differ by 3 points)"),
     Kept("optimise.closure.beta", "BODex, k_lower 0.2"),
     Kept("optimise.closure.gamma", "BODex, sum of five normal forces at least 1"),
-    Kept("optimise.closure.torque_length", "our measurement; BODex has half the diagonal"),
-    Kept("optimise.closure.least_torque_length", "our measurement"),
-    Kept("optimise.closure.iterations", "our measurement; the paper has a QP solver"),
-    Kept("optimise.closure.start_iterations", "our measurement"),
-    Kept("optimise.energy.penetration", "our measurement; BODex has cuRobo's cost, 100"),
-    Kept("optimise.energy.self_penetration", "our measurement; BODex 100"),
-    Kept("optimise.energy.object_margin", "our measurement"),
+    Kept("optimise.closure.torque_length", "measurements, 4; BODex has half the diagonal"),
+    Kept("optimise.closure.least_torque_length", "measurements, 4"),
+    Kept("optimise.closure.iterations", "measurements, 3; the paper has a QP solver"),
+    Kept("optimise.closure.start_iterations", "measurements, 3"),
+    Kept(
+        "optimise.energy.penetration",
+        "no weight in the paper; measurements, 3, beside w_QP = 10 and not adapted to 1000; BODex "
+        "has cuRobo's cost, 100",
+    ),
+    Kept(
+        "optimise.energy.self_penetration",
+        "no weight in the paper; measurements, 4, not adapted to w_QP = 1000; BODex 100",
+    ),
+    Kept("optimise.energy.object_margin", "measurements, 4"),
     Kept("optimise.energy.table_margin", "ours, twice the object margin"),
     Kept("optimise.energy.self_margin", "BODex, activation 2 mm"),
-    Kept("optimise.energy.inter_margin", "our measurement"),
-    Kept("optimise.energy.normal_step", "our measurement; BODex 10 to 20 mm"),
-    Kept("optimise.adam", "our measurement; BODex has normalised gradients, 500 steps"),
-    Kept("optimise.approach", "our measurement; BODex switches at 60 % of the steps"),
-    Kept("optimise.pregrasp", "our measurement; distance 1 cm is the paper's"),
-    Kept("optimise.grasp", "our measurement; BODex switches at 80 % of the steps"),
-    Kept("regions.force_friction", "our measurement"),
-    Kept("placement.standoff", "our measurement; BODex dilates by 10 cm"),
-    Kept("placement.clearance", "our measurement"),
+    Kept("optimise.energy.inter_margin", "measurements, 4"),
+    Kept("optimise.energy.normal_step", "measurements, 4; BODex 10 to 20 mm"),
+    Kept("optimise.adam", "measurements, 4; BODex has normalised gradients, 500 steps"),
+    Kept("optimise.approach", "measurements, 4; BODex switches at 60 % of the steps"),
+    Kept("optimise.pregrasp", "measurements, 4; distance 1 cm is the paper's"),
+    Kept(
+        "optimise.grasp",
+        "measurements, 4, with 40 steps for 20 (ours: closer fingers); BODex switches at 80 %",
+    ),
+    Kept("regions.force_friction", "measurements, 4"),
+    Kept("placement.standoff", "measurements, 4; BODex dilates by 10 cm"),
+    Kept("placement.clearance", "measurements, 4, the margin between hands"),
+    Kept("placement.table_raise", "ours: the paper does not say how starts clear a table"),
+    Kept("regions.table_reach", "ours: the paper does not say what a table makes inaccessible"),
+    Kept("regions.table_fingertip", "ours: the paper does not say what a table makes inaccessible"),
     Kept("placement.draws", "ours: draws before an attempt counts as not placeable"),
     Kept("regions.sides", "ours: the paper does not say which hand takes which region"),
 )
@@ -118,6 +142,7 @@ PAPER_IDLE = (
     Kept("regions.reranked", "of the torque score, which is off"),
     Kept("regions.iterations", "of the torque score, which is off"),
     Kept("regions.qp", "of the torque score, which is off"),
+    Kept("placement.table_roll", "of fingers down, which is off"),
     Kept("optimise.closure.weight_coupled", "of the coupled group, which is off"),
     Kept("optimise.energy.pad_cosine", "of the pad term, which is off"),
     Kept("staging.stiffness", "of the joint torques, which are off"),
@@ -146,6 +171,12 @@ def describe_preset(name: str) -> Preset:
     if name not in _PRESETS:
         raise UnknownName("preset", name, _PRESETS, "`bidexdata presets` lists them")
     return _PRESETS[name]
+
+
+def source_of(key: str) -> str:
+    """Say where the default of a key is from; empty where only the field's own text does."""
+    kept = (k for k in (*PAPER_GIVEN, *PAPER_OPEN) if key == k.key or key.startswith(f"{k.key}."))
+    return next((k.source for k in kept), "")
 
 
 def load_preset(name: str) -> SynthConfig:

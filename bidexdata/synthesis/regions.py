@@ -23,6 +23,7 @@ from bidexdata.record.scene import Scene
 from bidexdata.synthesis.regions_build import accessible_anchors, build_regions, flatness
 from bidexdata.synthesis.regions_gap import PairFilter
 from bidexdata.synthesis.regions_rank import diverse, force_order, random_order, torque_order
+from bidexdata.synthesis.table import table_plane
 from bidexdata.wrench.qp import QPConfig
 
 
@@ -61,6 +62,12 @@ class RegionConfig:
     Measurements, 2."""
     least_accessible: int = 40
     """If fewer anchors are accessible, those closest to the hull are taken. Measurements, 2."""
+    table_reach: float = 0.08
+    """On a table, regions are left out where a palm this far along the hull's normal would be below
+    it [m]: how far the back of a hand stands off. Ours."""
+    table_fingertip: float = 0.010
+    """On a table, points are left out that a ball of this radius cannot touch above it [m]: a
+    fingertip of 8 mm and the distance it keeps. Ours."""
     score: Literal["random", "force", "torque"] = "torque"
     """`force`: the paper's score. `torque`: those best by force and as many random ones, ranked by
     the residual of the coupled contact QP, torques included. Success of unselected grasps
@@ -94,6 +101,8 @@ class RegionConfig:
             "depth": (0.0, 10.0),
             "facing": (-2.0, 1.0),
             "least_accessible": (2, 100_000),
+            "table_reach": (0.0, 1.0),
+            "table_fingertip": (0.0, 0.1),
             "force_friction": (0.0, 10.0),
             "reranked": (1, 10_000_000),
             "iterations": (0, 100_000),
@@ -134,14 +143,15 @@ def select_region_pairs(
 
     Args:
         obj: The object; its surface points must be in farthest-point order.
-        scene: Gives the size, and the pose that decides what left means.
+        scene: Gives the size, the pose that decides what left means, and the table.
         config: Numbers and the score.
         rng: Draws contacts, random pairs and random sides.
     """
     size = scene.size
-    regions = build_regions(obj, size, config, rng)
+    table = table_plane(scene) if scene.setting == "tabletop" else None
+    regions = build_regions(obj, size, config, rng, table=table)
     longest = float(np.ptp(obj.solid.vertices, axis=0).max()) * size
-    usable = accessible_anchors(obj, size, regions, config)
+    usable = accessible_anchors(obj, size, regions, config, table=table)
     allowed = PairFilter(regions, usable, config.gap, config.wide * longest)
 
     if config.score == "random":
@@ -154,7 +164,7 @@ def select_region_pairs(
     keep = diverse(regions.anchor_points, pairs, config.diversity * longest, config.kept)
     pairs = _assign_sides(pairs[keep], regions.anchor_points, scene, config.sides, rng)
     return RegionPairs(
-        anchors=pairs,
+        anchors=regions.anchors[pairs],
         points=regions.points[pairs],
         normals=regions.normals[pairs],
         centres=regions.anchor_points[pairs],

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from bidexdata.devices import start_warp
 from bidexdata.objects.prepared import PreparedObject
+from bidexdata.synthesis.table import reachable_regions, touchable_points
 
 if TYPE_CHECKING:
     from bidexdata.synthesis.regions import RegionConfig
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 class Regions(NamedTuple):
     """A regions of k points each, object frame, metric; normals point out."""
 
+    anchors: Int[np.ndarray, " A"]
+    """Numbers of the anchors among the object's surface points."""
     anchor_points: Float[np.ndarray, "A 3"]
     """[m]."""
     anchor_normals: Float[np.ndarray, "A 3"]
@@ -34,18 +37,35 @@ class Regions(NamedTuple):
 
 
 def build_regions(
-    obj: PreparedObject, size: float, config: RegionConfig, rng: np.random.Generator
+    obj: PreparedObject,
+    size: float,
+    config: RegionConfig,
+    rng: np.random.Generator,
+    *,
+    table: Float[np.ndarray, " 4"] | None = None,
 ) -> Regions:
-    """Make one region around each of the first surface points.
+    """Make one region around each of the first surface points; none where no point can be touched.
 
     A region takes the first k points of the object's farthest-point order that lie within the
     radius and on the same sheet, which spreads them evenly over it.
+
+    Args:
+        obj: The object; its surface points must be in farthest-point order.
+        size: Bounding-box diagonal [m].
+        config: Numbers.
+        rng: Draws the contacts.
+        table: The plane under the object, in its frame; points that no fingertip can touch above
+            it are left out, which keeps the order of the others.
 
     Source:
         BiDexGrasp 4.2, step 1.
     """
     points = np.ascontiguousarray(obj.surface_points * np.float32(size))
     normals = np.ascontiguousarray(obj.surface_normals)
+    number = np.arange(len(points))
+    if table is not None:
+        number = number[touchable_points(points, normals, table, config.table_fingertip)]
+        points, normals = points[number], normals[number]
     count = min(config.anchors, len(points))
     index, filled = _members(points, normals, count, config)
     mean = normals[index].mean(axis=1, dtype=np.float64)
@@ -55,6 +75,7 @@ def build_regions(
     offset = points[index] - points[:count, None]
     drawn = np.take_along_axis(index, _draw(filled, config.contacts, rng), axis=1)
     return Regions(
+        anchors=number[:count],
         anchor_points=points[:count].astype(np.float64),
         anchor_normals=normals[:count].astype(np.float64),
         points=points[index],
@@ -77,17 +98,27 @@ def flatness(normals: Float[np.ndarray, "*b k 3"]) -> Float[np.ndarray, "*b"]:
 
 
 def accessible_anchors(
-    obj: PreparedObject, size: float, regions: Regions, config: RegionConfig
+    obj: PreparedObject,
+    size: float,
+    regions: Regions,
+    config: RegionConfig,
+    *,
+    table: Float[np.ndarray, " 4"] | None = None,
 ) -> Bool[np.ndarray, " A"]:
-    """Tell which regions a palm outside the convex hull can reach.
+    """Tell which regions a palm outside the convex hull, and above the table, can reach.
 
     The anchor lies close below the hull, and the region faces the same way as the hull there.
     """
     depth, hull_normal = hull_depth(obj, size, regions.anchor_points)
     facing = np.einsum("ai,ai->a", regions.mean_normals, hull_normal)
     usable = (depth <= config.depth) & (facing > config.facing)
+    above = np.ones(len(depth), bool)
+    if table is not None:
+        above = reachable_regions(regions.anchor_points, hull_normal, table, config.table_reach)
+    usable &= above
     if usable.sum() < config.least_accessible:
-        usable[np.argsort(depth, kind="stable")[: config.least_accessible]] = True
+        nearest = np.argsort(np.where(above, depth, np.inf), kind="stable")
+        usable[nearest[: min(config.least_accessible, above.sum())]] = True
     return usable
 
 
@@ -148,7 +179,7 @@ def _draw(
     filled: Int[np.ndarray, " A"], contacts: int, rng: np.random.Generator
 ) -> Int[np.ndarray, "A C"]:
     """Draw places of each region without repetition where it holds enough points."""
-    lot = rng.random((len(filled), int(filled.max())), np.float32)
+    lot = rng.random((len(filled), int(filled.max(initial=1))), np.float32)
     lot[np.arange(lot.shape[1])[None] >= filled[:, None]] = 2.0
     order = np.argsort(lot, axis=1, kind="stable")
     return np.take_along_axis(order, np.arange(contacts)[None] % filled[:, None], axis=1)

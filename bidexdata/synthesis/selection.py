@@ -27,8 +27,10 @@ class SelectionConfig:
     """Deeper pre-grasp penetration is a failed attempt [m]. DexGraspBench start check: 10 mm."""
     hands_depth: float = 0.010
     """The same within and between hands [m]. The same start check."""
-    table_depth: float = 0.010
-    """The same of hands and table [m]. Ours, as deep as the others."""
+    table_depth: float = 0.005
+    """Hands deeper than this in the table at any of the three stages are a failed attempt [m]. Ours:
+    of 1189 grasps of 20 meshes none was deeper than 2 mm before the squeeze and 5 mm at its
+    target."""
     clear_depth: float = 0.001
     """Attempts with less pre-grasp penetration come first [m]. Measurements, 6."""
     largest_residual: float = 0.01
@@ -74,7 +76,7 @@ def judge(
         depth: Deepest hand-object penetration at the pre-grasp [m].
         config: Limits.
         among_hands: The same within and between hands [m].
-        table: The same of hands and table [m]; 0 without one.
+        table: The same of hands and table, at the worst of the three stages [m]; 0 without one.
     """
     with np.errstate(invalid="ignore"):
         touching = np.sum(np.abs(gaps) <= config.contact_tolerance, axis=2)

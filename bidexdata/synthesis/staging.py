@@ -32,14 +32,15 @@ class StagingConfig:
     extrapolate: float = 1.0
     """Squeeze = grasp + extrapolate (grasp - pregrasp) [-]. Paper 4.4: 2 G - G_pre, so 1."""
     force_floor: float = 3.0
-    """Normal force per hand that the joint torques aim at, at least [N]; 0 with a zero
-    `force_per_weight` leaves the joint torques out (the paper). Measurements, 5."""
+    """Sum of a hand's normal forces whose joint torques the squeeze adds, at least [N]; 0 with a
+    zero `force_per_weight` leaves the joint torques out (the paper). Measurements, 5."""
     force_per_weight: float = 8.0
     """The same per newton of the object's weight [-]. Measurements, 5: at 0.8 m 65 -> 84 %."""
     stiffness: float = 5.0
     """Gain of the position actuators that will follow the target [N m/rad]. Protocol paper-1."""
     largest_offset: float = 0.6
-    """Largest change of a joint by the torques [rad]. Measurements, 5."""
+    """Largest change of a joint by the torques [rad]; where it binds, the torques fall short of
+    `force_scale`. Measurements, 5: never reached."""
     density: float = 2.5
     """Density that the weight is computed with [kg/m3]. Paper 6.1."""
 
@@ -91,10 +92,22 @@ def squeeze(
 def torque_offsets(
     hand: Hand, torques: Float[np.ndarray, "N D"], config: StagingConfig
 ) -> Float[np.ndarray, "N J"]:
-    """Changes of the joint targets that make the actuators exert torques [rad].
+    """Changes of the joint targets that make the actuators do the work of the torques [rad].
 
-    Coupled joints share the mean of their torques, since one actuator drives them.
+    Changing the targets by C du (C: coupling) changes the controls by M C du (M: moment matrix) and
+    the actuators' torques by kp M C du, whose work along the free variables is kp (M C)^T M C du.
+    That equals the torques asked for, or is closest to them where actuators are fewer than free
+    variables; the targets change as little as they can. A tendon over two coupled joints pulls at
+    both with one torque, and both targets add to its control: each changes by a quarter of the sum
+    of the joints' torques over kp, and each joint gets half of that sum.
+
+    Args:
+        hand: Gives coupling and moment matrix.
+        torques: Generalised torques on the free variables [N m].
+        config: Stiffness kp, and the limit of each joint's change.
     """
-    shared = hand.coupling / np.sum(hand.coupling**2, axis=0)
-    tau = np.sum(torques[:, None, :] * shared[None], axis=2)
-    return np.clip(tau / config.stiffness, -config.largest_offset, config.largest_offset)
+    pull = hand.actuator_moment @ hand.coupling
+    per_torque = hand.coupling @ np.linalg.pinv(pull.T @ pull) / config.stiffness
+    # One product per joint, so that the batch's size cannot change the rounding.
+    offsets = np.sum(torques[:, None, :] * per_torque[None], axis=2)
+    return np.clip(offsets, -config.largest_offset, config.largest_offset)

@@ -155,7 +155,7 @@ def _residual(edges: FloatArray, load: FloatArray) -> float:
                     sparse.csc_matrix((contacts, 6)),
                 ]
             ),
-            sparse.hstack([np.ones((1, n)), np.zeros((1, 6))]),
+            sparse.csc_matrix(np.concatenate([np.ones((1, n)), np.zeros((1, 6))], axis=1)),
         ],
         format="csc",
     )

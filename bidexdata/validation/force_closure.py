@@ -94,7 +94,8 @@ def _all_directions(
         mujoco.mj_setState(scene.model, scene.data, closed, mujoco.mjtState.mjSTATE_INTEGRATION)
         sign = 1.0 if name[0] == "+" else -1.0
         set_load(scene, protocol, sign * axes[direction // 2], multiple)
-        phase = hold(scene, protocol, protocol.checks, wanted, execution, watch)
+        look = None if watch is None else _named(watch, f"load {name}")
+        phase = hold(scene, protocol, protocol.checks, wanted, execution, look)
         clear_load(scene)
         worst = Phase(
             phase.status,
@@ -105,3 +106,7 @@ def _all_directions(
         if phase.status is not Status.OK:
             return direction, worst
     return -1, worst
+
+
+def _named(watch: Watch, phase: str) -> Watch:
+    return lambda _, scene: watch(phase, scene)

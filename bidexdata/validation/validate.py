@@ -70,15 +70,13 @@ def validate_grasps(
     _require_same(batch, solid, hands)
     execution = execution or Execution()
     columns = empty_columns(batch.header, columns_written_by("validate"), len(batch))
-    statuses = _statuses_before(batch, hands)
+    statuses = statuses_before(batch, hands)
     columns["verdict_status"][:] = statuses
     runnable = statuses == Status.OK
     for size in np.unique(batch.size[runnable]):
         rows = np.flatnonzero(runnable & (batch.size == size))
         try:
-            scene = build_scene(
-                hands, solid, in_metres(size), protocol.scene, table=test in WITH_TABLE
-            )
+            scene = scene_of_rows(batch.select(batch.size == size), solid, hands, protocol, test)
         except SceneNotBuilt:
             columns["verdict_status"][rows] = Status.NO_SCENE
             continue
@@ -89,6 +87,18 @@ def validate_grasps(
                 verdict = TESTS[test](scene, protocol, grasp, execution)
                 _write_verdict(columns, int(row), verdict)
     return columns
+
+
+def scene_of_rows(
+    batch: GraspBatch, solid: Solid, hands: Sequence[Hand], protocol: Protocol, test: str
+) -> SimScene:
+    """Compile the scene of rows of one size.
+
+    Raises:
+        SceneNotBuilt: MuJoCo refuses the scene.
+    """
+    size = in_metres(batch.size[0])
+    return build_scene(hands, solid, size, protocol.scene, table=test in WITH_TABLE)
 
 
 def grasp_of(batch: GraspBatch, row: int) -> Grasp:
@@ -131,8 +141,11 @@ def _write_verdict(columns: dict[str, np.ndarray], row: int, verdict: Verdict) -
         columns[name][row] = getattr(verdict, name)
 
 
-def _statuses_before(batch: GraspBatch, hands: Sequence[Hand]) -> NDArray[np.int8]:
-    """NOT_RUN for rows without a grasp, BAD_POSE for rows that no simulator should see, else OK."""
+def statuses_before(batch: GraspBatch, hands: Sequence[Hand]) -> NDArray[np.int8]:
+    """Status of every row before any test, (N,).
+
+    NOT_RUN for rows without a grasp, BAD_POSE for rows that no simulator should see, else OK.
+    """
     statuses = np.full(len(batch), Status.OK, dtype=np.int8)
     good = _is_position(batch.object_pos) & _is_rotation(batch.object_quat_wxyz)
     good &= _is_position(batch.hand_pos).all(axis=(1, 2))

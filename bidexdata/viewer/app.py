@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import socket
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,7 +41,7 @@ def serve(
 
     Raises:
         PathNotFound: `path` does not exist.
-        NotUsable: There is nothing to show.
+        NotUsable: There is nothing to show, or `host` is no address of this machine.
         MissingExtra: viser is not installed.
     """
     server = serve_source(open_browsable(path), host=host, port=port)
@@ -58,6 +59,7 @@ def serve_source(
     except ImportError as err:
         raise MissingExtra("viser", "view") from err
 
+    check_host(host)
     # A browser opens connections that it then does not use; the package would log each as an error.
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
     catalog = Catalog(source)
@@ -85,6 +87,25 @@ def serve_source(
     server.on_client_connect(connected)
     server.on_client_disconnect(gone)
     return server
+
+
+def check_host(host: str) -> None:
+    """Refuse an address that this machine cannot listen on; the server would wait for ever.
+
+    Raises:
+        NotUsable: It is not one of this machine's.
+    """
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, 0, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.bind(address)
+    except (OSError, UnicodeError) as err:
+        raise NotUsable(
+            f"--host {host!r} is no address of this machine ({err}); "
+            f"take {DEFAULT_HOST}, or 0.0.0.0 for the whole network"
+        ) from err
 
 
 def wait_until_interrupted(server: viser.ViserServer) -> None:

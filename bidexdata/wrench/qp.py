@@ -30,7 +30,7 @@ class QPConfig:
     """Constants of the contact QP; forces are in units of the cap."""
 
     mu: float = 0.3
-    """Friction coefficient of the cones [-]. Half the simulated 0.6, as a margin; our measurement:
+    """Friction coefficient of the cones [-]. Half the simulated 0.6, as a margin; measurements, 3:
     0.1, 0.3 and 0.6 differ by 3 points of success. The paper gives none, BODex uses 0.1."""
     gamma: float = 1.0
     """Least sum of normal forces of each hand [caps]. BODex's bound; the paper gives no value."""
@@ -139,7 +139,7 @@ def solve_contact_qp(
         qp: Problems and buffers; `qp.forces` is the start.
         config: Friction, bounds and disturbance.
         iterations: Steps; 0 only evaluates the residual of the given forces. 4 per optimiser step
-            with a warm start, 40 from zero (our measurement).
+            with a warm start, 40 from zero (docs/measurements.md, 3).
     """
     import warp as wp
 

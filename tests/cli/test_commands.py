@@ -100,18 +100,12 @@ def test_a_line_that_cannot_be_parsed_gives_2(
             ["prepare", "shapes:box", "--out", "{tmp}/lib", "--set", "convex.thresold=1"],
             "threshold",
         ),
-        (["prepare", "shapes:box", "--out", "{tmp}/lib", "--set", "convex"], "KEY=VALUE"),
         (["prepare", "shapes:box", "--out", "{tmp}/lib", "--config", "{tmp}/no.yaml"], "no.yaml"),
         (["prepare", "shapes:box", "--out", "{tmp}/lib", "--executor", "magic"], "inline"),
         (["synth", "{tmp}/nolib", "--out", "{tmp}/run"], "nolib"),
         (["synth", "{tmp}", "--out", "{tmp}/run", "--preset", "papre"], "paper"),
         (["synth", "{tmp}", "--out", "{tmp}/run", "--device", "cuda:99"], "this machine has: cpu"),
         (["synth", "{tmp}", "--out", "{tmp}/run", "--setting", "water"], "tabletop"),
-        (["synth", "{tmp}", "--out", "{tmp}/run", "--sizes", "90"], "--sizes"),
-        (
-            ["synth", "{tmp}", "--out", "{tmp}/run", "--grasps", "5", "--candidates", "4"],
-            "candidates",
-        ),
         (["validate", "{tmp}/norun"], "norun"),
         (["validate", "{tmp}", "--protocol", "papre-1"], "paper-1"),
         (

@@ -21,6 +21,10 @@ import pytest
 from bidexdata import BiDexDataset, Run
 from bidexdata.cli.main import COMMANDS, run
 from bidexdata.record.fields import columns_written_by
+from bidexdata.runs.browse import open_browsable
+from bidexdata.runs.finished import Finished
+from bidexdata.runs.made_with import package_versions
+from bidexdata.runs.pack import rows_of_object
 from bidexdata.runs.shards import done_tasks, read_shard, write_shard
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -207,9 +211,82 @@ def test_an_unknown_hand_gives_3_and_lists_the_known(
     assert not out.exists()
 
 
+def test_a_file_that_is_no_hand_gives_3_and_is_named(library: Path, tmp_path: Path, capsys):
+    (tmp_path / "list.yaml").write_text("- 1")
+    out = tmp_path / "run"
+    hand = str(tmp_path / "list.yaml")
+    assert run(["synth", str(library), "--out", str(out), "--hand", hand]) == 3
+    assert "list.yaml" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_a_test_that_the_setting_does_not_allow_gives_3(whole: Path, capsys):
     assert run(["validate", str(whole), "--tests", "a"]) == 3
     assert "'a'" in capsys.readouterr().err
+
+
+def test_a_shard_made_on_another_device_is_told_apart_by_info(
+    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+):
+    folder = tmp_path / "mixed"
+    subprocess.run(["cp", "-r", whole, folder], check=True)
+    first, *others = sorted((folder / "synth").rglob("*.arrow"))
+    gpu = {"device": "cuda", "device_name": "a GPU", **package_versions()}
+    monkeypatch.setattr("bidexdata.runs.shards.made_with", lambda _device: gpu)
+    write_shard(first, read_shard(first), Run.open(folder).fingerprint, device="cuda:1")
+    capsys.readouterr()
+    assert run(["info", str(folder), "--json"]) == 0
+    made = json.loads(capsys.readouterr().out)["made_with"]
+    assert [(k["tasks"], k["device"]) for k in made["synth"]] == [(TASKS - 1, "cpu"), (1, "cuda")]
+    assert [(k["tasks"], k["device"]) for k in made["validate/paper-1/f"]] == [(TASKS, "cpu")]
+    assert all(k["mujoco"] == package_versions()["mujoco"] for k in made["synth"])
+    assert run(["info", str(folder)]) == 0
+    said = capsys.readouterr().out
+    assert f"  {len(others)} tasks on cpu (" in said
+    assert "  1 tasks on cuda (a GPU) with bidexdata" in said
+
+
+@pytest.mark.parametrize("command", ["info", "pack"])
+def test_a_command_lists_every_stage_once_whatever_the_number_of_objects(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
+):
+    listed = []
+
+    def count(folder: Path) -> set[str]:
+        listed.append(folder.relative_to(whole).as_posix())
+        return done_tasks(folder)
+
+    for module in ("run", "finished"):
+        monkeypatch.setattr(f"bidexdata.runs.{module}.done_tasks", count)
+    arguments = {
+        "info": ["info", str(whole)],
+        "pack": ["pack", str(whole), "--out", str(tmp_path / "r"), "--name", "n", "--version"],
+    }[command]
+    assert run([*arguments, *["1.0.0"] * (command == "pack"), "--quiet"]) == 0
+    assert sorted(listed) == ["synth", "validate/paper-1/f"]
+
+
+def test_a_command_sees_a_growing_run_as_it_was_and_a_reader_as_it_is(whole: Path, tmp_path: Path):
+    folder = tmp_path / "growing"
+    subprocess.run(["cp", "-r", whole, folder], check=True)
+    late = sorted((folder / "synth").rglob("*.arrow"))[-1]
+    late.rename(folder / "kept")
+    made, source = Run.open(folder), open_browsable(folder)
+    (object_id,) = (t.object_id for t in made.tasks if t.task_id == late.stem)
+    before = Finished.of(made)
+    assert source.grasps(object_id) is None
+    (folder / "kept").rename(late)
+    after = Finished.of(made)
+    assert (len(before.rows), len(after.rows)) == (TASKS - 1, TASKS)
+    tests = list(after.tests)
+    assert rows_of_object(made, before, object_id, "", tests) is None
+    rows = rows_of_object(made, after, object_id, "", tests)
+    assert rows is not None
+    assert set(rows.verdicts) == {("paper-1", "f")}
+    seen = source.grasps(object_id)
+    assert seen is not None
+    assert len(seen) == len(rows.batch)
+    assert before.tested(tests) == before.rows
 
 
 def test_the_same_release_comes_out_of_an_equal_run(whole: Path, release: Path, tmp_path: Path):
@@ -314,9 +391,16 @@ def test_info_says_what_it_is_and_json_has_the_documented_keys(
     path = request.getfixturevalue(kind)
     capsys.readouterr()
     assert run(["info", str(path)]) == 0
-    assert ("run" if kind == "whole" else kind) in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert ("run" if kind == "whole" else kind) in said
+    legend = [line for line in said.splitlines() if line.startswith("kept = ")]
+    assert len(legend) == (kind != "library")
+    for word in ("kept", "selected", "unselected", "PD", "SPD", "CDC"):
+        assert kind == "library" or re.search(rf"\b{word}\b.* = ", legend[0])
     assert run(["info", str(path), "--json"]) == 0
-    data = json.loads(capsys.readouterr().out)
+    out = capsys.readouterr().out
+    assert "kept = " not in out
+    data = json.loads(out)
     documented = set(re.findall(r"\w+", COMMANDS["info"].__doc__ or ""))
     assert set(data) <= documented
     if kind != "library":

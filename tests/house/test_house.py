@@ -13,10 +13,10 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "bidexdata"
 
 # cli -> viewer -> runs -> loaders, formats -> synthesis | validation -> arms -> pictures
-# -> simulation -> objects, hands -> wrench, record -> frames, errors, config, devices.
+# -> simulation -> objects, hands -> wrench, record -> frames, errors, config, devices, kinds.
 # Rooms on one floor do not import each other, but for the pairs in SAME_FLOOR.
 FLOORS = [
-    {"frames", "errors", "config", "devices"},
+    {"frames", "errors", "config", "devices", "kinds"},
     {"wrench", "record"},
     {"objects", "hands"},
     {"simulation"},
@@ -28,7 +28,12 @@ FLOORS = [
     {"viewer"},
     {"cli"},
 ]
-SAME_FLOOR = {("config", "errors"), ("loaders", "formats")}
+SAME_FLOOR = {
+    ("config", "errors"),
+    ("devices", "errors"),
+    ("kinds", "errors"),
+    ("loaders", "formats"),
+}
 FLOOR_OF = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 
 

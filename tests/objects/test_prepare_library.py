@@ -128,10 +128,10 @@ def test_a_foreign_folder_is_left_alone(tmp_path, meshes, small):
     (out / "objects").mkdir()
     with pytest.raises(NotUsable, match=r"manifest\.json"):
         run([meshes], out, small)
-    with pytest.raises(NotUsable, match="it is a release"):
+    with pytest.raises(NotUsable, match="is a release; this needs a library"):
         Library.open(out)
     (out / "manifest.json").rename(out / "run.json")
-    with pytest.raises(NotUsable, match="it is a run"):
+    with pytest.raises(NotUsable, match="is a run; this needs a library"):
         Library.open(out)
 
 

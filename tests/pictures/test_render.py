@@ -1,5 +1,6 @@
 """Choosing and drawing rows; the file formats behind `open_browsable` have their own tests."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from picture_samples import Made
 from PIL import Image
 
-from bidexdata.errors import BadConfig, NotUsable, PathNotFound
+from bidexdata.errors import BadConfig, MissingExtra, NotUsable, PathNotFound
 from bidexdata.runs import render as render_module
 from bidexdata.runs.browse import open_browsable, verdicts_of
 from bidexdata.runs.render import choose_grasps, render
@@ -78,6 +79,21 @@ def test_a_video_moves_and_rests_at_its_ends(opened, tmp_path: Path, monkeypatch
     assert len(report.shown) == 1
     with Image.open(tmp_path / "a.gif") as movie:
         assert movie.n_frames == 3
+
+
+def test_a_video_may_be_an_mp4(opened, tmp_path: Path, monkeypatch):
+    import av
+
+    monkeypatch.setattr(render_module, "VIDEO_MOMENTS", (0.0, 1.0, 2.0))
+    render("run", tmp_path / "a.mp4", count=2, video=True, quiet=True)
+    with av.open(str(tmp_path / "a.mp4")) as movie:
+        frames = [f.to_ndarray(format="rgb24") for f in movie.decode(video=0)]
+    assert len(frames) == 3
+    assert np.abs(frames[0].astype(int) - frames[2]).max() > 50
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(MissingExtra, match="pip install"):
+        render("run", tmp_path / "b.mp4", count=2, video=True, quiet=True)
+    assert not (tmp_path / "b.mp4").exists()
 
 
 def test_video_moments_run_through_all_stages():

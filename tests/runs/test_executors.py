@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -37,6 +39,15 @@ def misbehave(n: int) -> int:
 
 def unsendable(n: int):
     return (lambda: n) if n == 1 else n
+
+
+class Cursed:
+    def __reduce__(self):
+        return (misbehave, (1,))
+
+
+def unreadable(n: int):
+    return Cursed() if n == 1 else n
 
 
 def sleepy(n: int) -> int:
@@ -80,6 +91,23 @@ def test_a_result_that_cannot_be_sent_is_a_failure_of_its_task():
     got = dict(run_tasks([0, 1, 2], unsendable, workers=1))
     assert (got[0], got[2]) == (0, 2)
     assert "cannot be sent" in got[1].reason
+
+
+def test_a_result_that_cannot_be_read_is_a_failure_of_its_task():
+    got = dict(run_tasks([0, 1, 2], unreadable, workers=1))
+    assert (got[0], got[2]) == (0, 2)
+    assert got[1].reason == "ValueError: one is refused"
+    assert got[1].kind == "exception"
+
+
+def test_runs_catches_every_exception_in_one_place():
+    broad = []
+    for path in (ROOT / "bidexdata" / "runs").glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ExceptHandler):
+                caught = ast.unparse(node.type) if node.type else "Exception"
+                broad += [path.name] * bool(re.search(r"\b(Base)?Exception\b", caught))
+    assert broad == ["boundary.py"]
 
 
 def test_a_task_past_its_time_is_ended():

@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from bidexdata.runs.shards import (
     STALE_AFTER,
     check_mark,
     done_tasks,
+    read_mark,
     read_shard,
     shard_path,
     sweep,
@@ -56,6 +58,30 @@ def test_the_same_rows_give_the_same_bytes_whatever_their_chunks(tmp_path: Path)
     write_shard(tmp_path / "a.arrow", whole, "print")
     write_shard(tmp_path / "b.arrow", cut, "print")
     assert (tmp_path / "a.arrow").read_bytes() == (tmp_path / "b.arrow").read_bytes()
+
+
+def test_a_shard_says_what_it_was_made_with(tmp_path: Path):
+    path = tmp_path / "a.arrow"
+    write_shard(path, table(3), "print")
+    mark = read_mark(path)
+    assert (mark.fingerprint, mark.rows) == ("print", 3)
+    assert mark.made_with["device"] == "cpu"
+    assert mark.made_with["device_name"]
+    for package in ("mujoco", "numpy", "warp-lang"):
+        assert mark.made_with[package] == version(package)
+
+
+def test_a_shard_of_an_older_version_says_nothing_and_is_read(tmp_path: Path):
+    from pyarrow import ipc
+
+    old = table(3).replace_schema_metadata(
+        {"bidexdata_shard": json.dumps({"fingerprint": "print", "rows": 3})}
+    )
+    path = tmp_path / "a.arrow"
+    with pa.OSFile(str(path), "wb") as sink, ipc.new_file(sink, old.schema) as writer:
+        writer.write_table(old)
+    assert read_shard(path, "print").num_rows == 3
+    assert read_mark(path).made_with == {}
 
 
 def test_another_configuration_is_refused(tmp_path: Path):

@@ -100,6 +100,25 @@ def test_region_gradient_is_the_central_difference():
     assert_gradient(lambda y: energies.region_energy(y, region, 0.06).energy, term.gradient, x)
 
 
+def test_a_pad_that_touches_its_region_costs_nothing_however_thick_the_finger():
+    """E_dis and E_region take the same point of the finger: both are zero where it touches."""
+    from bidexdata.synthesis import contact_kernels as k
+
+    radius = np.array([0.002, 0.008, 0.05])
+    points = rng.uniform(-0.1, 0.1, (1, 3, 3))
+    normals = rng.standard_normal((1, 3, 3))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    centres = points - radius[:, None] * normals
+    np.testing.assert_allclose(energies.contact_points(centres, normals, radius), points)
+    assert energies.target_energy(centres, points, normals, radius, 0.0).energy < 1e-20
+    e, out = poison((1, 3)), vectors(np.zeros((1, 3, 3)))
+    args = [wp.zeros(3, dtype=int), floats(radius), 1.0, 0.001]
+    args += [vectors(np.tile(points[:, None], (1, 2, 1, 1))), vectors(centres), vectors(normals)]
+    launch(k.contact_region, (1, 3), args, [e, out, vectors(np.zeros((1, 3, 3)))])
+    assert not e.numpy().any()
+    assert not out.numpy().any()
+
+
 def test_target_gradient_is_the_central_difference():
     points, normals = rng.standard_normal((2, 5, 3))
     radius = rng.uniform(0.005, 0.01, 5)
@@ -225,6 +244,41 @@ def test_surface_chain_turns_normals_as_a_ball_does():
     assert np.corrcoef(out.numpy().ravel(), expected.ravel())[0, 1] > 0.999
 
 
+def test_the_region_gradient_on_a_ball_is_the_central_difference():
+    """The point that faces the ball moves less than the centre: by 1 - r / |c| along the ball."""
+    from bidexdata.synthesis import distance_field_kernels as k
+    from bidexdata.synthesis.contact_kernels import contact_region
+
+    shape, r, a = (8, 5), np.full(5, 0.012), 0.02
+    centres = rng.standard_normal((*shape, 3))
+    centres *= (SIZE * RADIUS + r[0]) / np.linalg.norm(centres, axis=-1, keepdims=True)
+    region = rng.uniform(-0.1, 0.1, (8, 1, 6, 3))
+
+    def energy(c):
+        inward = -c / np.linalg.norm(c, axis=-1, keepdims=True)
+        at = energies.contact_points(c, inward, r)
+        return sum(
+            energies.region_energy(x, R[0], a).energy for x, R in zip(at, region, strict=True)
+        )
+
+    d, e = poison(shape), poison(shape)
+    slope, p, n = (poison(shape, wp.vec3) for _ in range(3))
+    g, gn = (vectors(np.zeros((*shape, 3))) for _ in range(2))
+    on = [device_field(ball_grid(cells=96)), floats(np.full(8, SIZE)), 0.008]
+    launch(k.closest_surface, shape, [*on, vectors(centres)], [d, slope, p, n])
+    args = [wp.zeros(5, dtype=int), floats(r), 1.0, a, vectors(region), vectors(centres), n]
+    launch(contact_region, shape, args, [e, g, gn])
+    launch(k.surface_chain, shape, [*on, p, n, vectors(np.zeros((*shape, 3))), gn], [g])
+    numeric = np.zeros(centres.shape)
+    for at in np.ndindex(centres.shape):
+        one = np.zeros(centres.shape)
+        one[at] = 1.0
+        numeric[at] = difference(energy, centres, one)
+    error = np.linalg.norm(g.numpy() - numeric) / np.linalg.norm(numeric)
+    # The chain neglects the way from the centre to the surface: r / R for r / (R + r).
+    assert error < 0.02
+
+
 def test_surface_chain_on_a_plane_is_the_tangential_projection():
     from bidexdata.synthesis import distance_field_kernels as k
 
@@ -259,13 +313,17 @@ def test_contact_kernels_equal_the_reference():
     assert_close(out, 3 * term.gradient)
     np.testing.assert_allclose(e.numpy().sum(1), term.energy, rtol=1e-4)
 
-    out = vectors(g)
-    args = [wp.array(side, dtype=int), 3.0, 0.06, vectors(region), vectors(c)]
-    launch(k.contact_region, (N, M), args, [e, out])
+    out, turned = vectors(g), vectors(p)
+    args = [wp.array(side, dtype=int), floats(radius), 3.0, 0.06, vectors(region), vectors(c)]
+    launch(k.contact_region, (N, M), [*args, vectors(n)], [e, out, turned])
+    at = energies.contact_points(c, n, radius)
     for h in range(2):
         own = side == h
-        term = energies.region_energy(c[:, own], region[:, h], 0.06)
-        np.testing.assert_allclose(out.numpy()[:, own], g[:, own] + 3 * term.gradient, atol=1e-4)
+        term = energies.region_energy(at[:, own], region[:, h], 0.06)
+        push = 3 * term.gradient
+        np.testing.assert_allclose(out.numpy()[:, own], g[:, own] + push, atol=1e-4)
+        by_normal = p[:, own] + radius[own, None] * push
+        np.testing.assert_allclose(turned.numpy()[:, own], by_normal, atol=1e-6)
         np.testing.assert_allclose(e.numpy()[:, own].sum(1), term.energy, atol=1e-5)
 
     gn, out = vectors(g), poison((N, M), wp.vec3)

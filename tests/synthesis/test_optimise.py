@@ -7,7 +7,7 @@ import pytest
 
 from bidexdata.frames import matrix_from_quat, quat_angle, quat_multiply, random_quat
 from bidexdata.hands import load_hands
-from bidexdata.hands.kinematics import hand_points
+from bidexdata.hands.kinematics import forward_kinematics, hand_points
 from bidexdata.objects.prepared import SignedDistanceGrid
 from bidexdata.synthesis import chain
 from bidexdata.synthesis.distance_field import signed_distance
@@ -21,7 +21,7 @@ from bidexdata.synthesis.optimise_config import (
     PhaseConfig,
 )
 from bidexdata.synthesis.pose import Pose
-from bidexdata.synthesis.staging import StagingConfig, squeeze
+from bidexdata.synthesis.staging import StagingConfig, squeeze, torque_offsets
 from bidexdata.synthesis.workspace import Start, allocate
 
 # Kernels are float32 and the field is piecewise linear: slopes agree to a few percent.
@@ -137,8 +137,8 @@ def slopes(body, hands, start, energy, direction, *, closure=None, step=2e-3):
             *chain.kinematics(ws),
             *chain.surface(ws, energy),
             *chain.distance_term(ws, energy, 0.0),
-            *chain.region_term(ws, energy),
             *chain.closure_term(ws, qp, weights, qp_config(closure), 3000),
+            *chain.region_term(ws, energy),
             *chain.pad_term(ws, energy),
             *chain.chain_to_centres(ws, energy),
             *chain.collision_terms(ws, energy),
@@ -200,9 +200,11 @@ def test_the_gradient_of_the_closure_follows_its_central_difference(body, hands)
     assert 0.9 < slope < 1.3
 
 
-def test_a_mirrored_start_gives_the_mirrored_result(body, hands):
+@pytest.mark.parametrize("table", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.03)])
+def test_a_mirrored_start_gives_the_mirrored_result(body, hands, table):
     mirror = np.diag([-1.0, 1, 1])
     start = facing_start(hands, 5)
+    start = replace(start, plane=np.tile(table, (5, 1)))
 
     def swapped(position, rotation):
         return position[:, ::-1] @ mirror, mirror @ rotation[:, ::-1] @ mirror
@@ -333,24 +335,70 @@ def test_the_squeeze_without_torques_is_the_papers():
 
 
 def test_torques_do_the_work_of_the_forces(body, hands):
-    """J^T f . du = f . dc for small changes of the joints, by the float64 kinematics."""
+    """J^T f . du = f . dp for small changes of the joints, p being where the fingers touch."""
     found = optimise(body, hands, facing_start(hands, 3), short())
     rng = np.random.default_rng(5)
     forces = rng.standard_normal((3, 2, found.points.shape[2], 3))
     torques = joint_torques(found.workspace, forces)
     for h, hand in enumerate(hands):
+        base = matrix_from_quat(found.grasp.quat_wxyz[:, h])
+        joints, carrier = found.grasp.joints[h], hand.contact_body
+        pos, rot = forward_kinematics(hand, joints)
+        local = np.einsum(
+            "nji,ncj->nci", base, found.points[:, h] - found.grasp.position[:, None, h]
+        )
+        local = np.einsum("ncji,ncj->nci", rot[:, carrier], local - pos[:, carrier])
         du = rng.standard_normal(hand.coupling.shape[1]) * 1e-6
-        ends = [
-            hand_points(
-                hand,
-                found.grasp.joints[h] + sign * hand.coupling @ du,
-                found.grasp.position[:, h],
-                found.grasp.quat_wxyz[:, h],
-            ).contact
-            for sign in (1, -1)
-        ]
+        ends = []
+        for sign in (1, -1):
+            pos, rot = forward_kinematics(hand, joints + sign * hand.coupling @ du)
+            at = pos[:, carrier] + np.einsum("ncij,ncj->nci", rot[:, carrier], local)
+            ends.append(np.einsum("nij,ncj->nci", base, at))
         work = np.sum(forces[:, h] * (ends[0] - ends[1]) / 2, axis=(1, 2))
         np.testing.assert_allclose(torques[h] @ du, work, rtol=1e-3, atol=1e-9)
+
+
+def exerted(hand, joints, targets, stiffness):
+    """Joint torques of MuJoCo's actuators at `joints` with controls for `targets`, (J,)."""
+    import mujoco
+
+    model = hand.make_spec().compile()
+    model.actuator_gainprm[:] = model.actuator_biasprm[:] = 0.0
+    model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1] = stiffness, -stiffness
+    model.actuator_forcelimited[:] = model.actuator_ctrllimited[:] = 0
+    data = mujoco.MjData(model)
+    at = [model.joint(name).qposadr[0] for name in hand.joint_names]
+    data.qpos[at] = joints
+    data.ctrl[[model.actuator(n).id for n in hand.actuator_names]] = hand.actuator_moment @ targets
+    mujoco.mj_forward(model, data)
+    return data.qfrc_actuator[[model.joint(name).dofadr[0] for name in hand.joint_names]]
+
+
+def test_the_offsets_make_the_actuators_do_the_work_of_the_torques(hands):
+    """In MuJoCo, at the grasp: neither half nor twice, on tendons over two joints either."""
+    config = StagingConfig(largest_offset=3.0)
+    rng = np.random.default_rng(6)
+    for hand in hands:
+        assert np.any(np.count_nonzero(hand.coupling, axis=0) > 1), "a tendon must be in this test"
+        wanted = rng.uniform(-0.2, 0.2, (1, hand.coupling.shape[1]))
+        joints = hand.coupling @ rng.uniform(0.1, 0.5, hand.coupling.shape[1])
+        targets = joints + torque_offsets(hand, wanted, config)[0]
+        torques = exerted(hand, joints, targets, config.stiffness)
+        np.testing.assert_allclose(hand.coupling.T @ torques, wanted[0], atol=1e-9)
+
+
+def test_a_tendon_pulls_with_the_least_squares_torque_of_its_joints(hands):
+    """By hand: joint torques 0.3 and 0.1 under one tendon; 0.2 at both is closest to them."""
+    hand = hands[0]
+    d = int(np.argmax(np.count_nonzero(hand.coupling, axis=0)))
+    pair = np.flatnonzero(hand.coupling[:, d])
+    wanted = np.zeros((1, hand.coupling.shape[1]))
+    wanted[0, d] = 0.3 + 0.1
+    offsets = torque_offsets(hand, wanted, StagingConfig(stiffness=5.0))[0]
+    np.testing.assert_allclose(offsets[pair], 0.02, atol=1e-12)
+    assert np.count_nonzero(np.abs(offsets) > 1e-12) == 2
+    nearest = np.linalg.lstsq(hand.actuator_moment.T[pair], np.array([0.3, 0.1]), rcond=None)[0]
+    np.testing.assert_allclose(5.0 * hand.actuator_moment @ offsets, nearest, atol=1e-12)
 
 
 def test_each_hand_presses_as_hard_as_the_weight_asks(body, hands):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -9,6 +10,9 @@ from made_objects import box_object
 
 from bidexdata.config import fingerprint, from_plain, to_plain, with_overrides
 from bidexdata.errors import BadConfig, UnknownKey, UnknownName
+from bidexdata.hands import load_hands
+from bidexdata.record import Scene
+from bidexdata.synthesis.attempts import draw_attempts
 from bidexdata.synthesis.config import SynthConfig
 from bidexdata.synthesis.presets import (
     PAPER_GIVEN,
@@ -144,3 +148,27 @@ def test_every_field_has_a_docstring_with_its_source():
             documented = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
             if cls is not SynthConfig and not field.type.endswith("Config"):
                 assert documented, f"{cls.__name__}.{field.name} has no docstring"
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_no_attempt_of_a_preset_repeats_another(name):
+    """Three region pairs for 24 attempts in two rounds of one run, which draw by other seeds."""
+    obj, hands = box_object(), load_hands("capsule")
+    scene = Scene(obj.object_id, 500)
+    config = with_overrides(load_preset(name), ["placement.pairs=3", "regions.anchors=8"])
+    one = draw_attempts(obj, hands, scene, config, 1, 12)
+    two = draw_attempts(obj, hands, scene, config, 2, 12, grown=True)
+    again = {tuple(r) for r in one.region_id} & {tuple(r) for r in two.region_id}
+    assert again, "the rounds must share a pair in this test"
+    rows = np.concatenate([a.start.position.reshape(-1, 6) for a in (one, two)])
+    turns = np.concatenate([a.start.rotation.reshape(-1, 18) for a in (one, two)])
+    assert len(rows) > 12
+    assert len(np.unique(np.hstack([rows, turns]).astype(np.float32), axis=0)) == len(rows)
+
+
+def test_what_the_paper_leaves_open_says_where_its_value_comes_from():
+    sources = dict(PAPER_OPEN)
+    for key, source in sources.items():
+        assert re.search(r"measurements, \d|BODex|\bours\b", source), key
+    for weight in ("penetration", "self_penetration"):
+        assert sources[f"optimise.energy.{weight}"].startswith("no weight in the paper")

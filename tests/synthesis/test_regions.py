@@ -228,7 +228,9 @@ def facing_regions(shift, length=0.4, contacts=5):
     normals = np.array([[-1.0, 0, 0], [1.0, 0, 0], [1.0, 0, 0]])
     points = (centres[:, None] + disc).astype(np.float32)
     out = np.repeat(normals[:, None], contacts, axis=1).astype(np.float32)
-    return Regions(centres, normals, points, out, normals, np.full(3, 0.08), points, out)
+    return Regions(
+        np.arange(3), centres, normals, points, out, normals, np.full(3, 0.08), points, out
+    )
 
 
 def test_the_torque_ranking_prefers_facing_regions_which_the_force_score_cannot_tell():

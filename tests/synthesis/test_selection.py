@@ -85,7 +85,7 @@ def test_hands_in_each_other_or_in_the_table_fail_by_their_own_names():
     finite, gaps = np.ones(5, bool), np.zeros((5, 2, 5))
     depth = np.array([0.0, 0.0, 0.0, 0.0, 0.011])
     among = np.array([0.010, 0.011, 0.0, 0.011, 0.011])
-    table = np.array([0.010, 0.0, 0.011, 0.011, 0.011])
+    table = np.array([0.005, 0.0, 0.006, 0.006, 0.011])
     status = judge(finite, gaps, depth, CONFIG, among_hands=among, table=table)
     assert status.tolist() == [
         Status.OK,

@@ -9,10 +9,11 @@ from bidexdata.hands.kinematics import hand_points
 from bidexdata.objects.prepare import prepare_object
 from bidexdata.record import Scene, Status
 from bidexdata.record.fields import FIELDS, columns_written_by
-from bidexdata.synthesis.attempts import grasp_ids, scene_seed, table_plane
+from bidexdata.synthesis.attempts import grasp_ids, scene_seed
 from bidexdata.synthesis.config import SynthConfig
 from bidexdata.synthesis.distance_field import signed_distance
 from bidexdata.synthesis.pipeline import synthesize
+from bidexdata.synthesis.table import table_plane
 
 GRASPS = 3
 # Poses are stored as float32 of metres up to one.

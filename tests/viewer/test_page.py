@@ -273,6 +273,11 @@ def test_what_cannot_be_shown_is_named(tmp_path):
         serve(tmp_path, block=False)
 
 
+def test_an_address_of_another_machine_is_refused_at_once(source):
+    with pytest.raises(NotUsable, match=r"--host '192\.0\.2\.1' is no address of this machine"):
+        serve_source(source, host="192.0.2.1")
+
+
 def test_rows_are_found_by_size_outcome_and_kind(hands, source):
     batch = source.batches["box0-00000000"]
     assert matching_rows(None) == []

@@ -73,6 +73,35 @@ def test_sampled_wrenches_lie_within_the_support(smooth):
         assert np.all(w[:, :3] @ t.T <= force_support(n, t, mu=0.3) + 1e-9)
 
 
+def test_the_smooth_support_points_are_the_estimators():
+    """By hand for one contact with mu = 0.5, whose cone ends at 26.6 degrees: TDG's three cases."""
+    degrees = np.radians([0, 15, 60, 120, 180])
+    u = np.stack([np.cos(degrees), np.sin(degrees), 0 * degrees], axis=1)
+    w = sampled_boundary(np.zeros((1, 3)), np.array([[1.0, 0, 0]]), u, mu=0.5, length=1.0)
+    # Through the disc; on the rim; the rim fading out as sin / (sin - 2 mu cos) behind the contact.
+    behind = np.sqrt(0.75) / (np.sqrt(0.75) + 0.5)
+    expected = [[1, 0], [1, np.tan(degrees[1])], [1, 0.5], [behind, 0.5 * behind], [0, 0]]
+    np.testing.assert_allclose(w[:, :2], expected, atol=1e-9)
+    np.testing.assert_allclose(w[:, 2:], 0, atol=1e-12)
+
+
+def test_the_estimators_score_is_lower_and_ranks_alike():
+    """What docs/paper_to_code.md says of the score that the paper takes from TDG."""
+    from scipy.stats import spearmanr
+
+    rng = np.random.default_rng(3)
+    u = unit(rng.standard_normal((1000, 3)))
+    exact, smooth = [], []
+    for _ in range(150):
+        p, n = contacts(rng, 10)
+        exact.append(float(stability_score(n, mu=0.3)))
+        smooth.append(sampled_score(p, n, u, mu=0.3, length=0.15))
+    ratio = np.array(smooth) / np.array(exact)
+    assert 0.4 < np.median(ratio) < 0.6
+    assert ratio.max() < 1
+    assert 0.9 < spearmanr(exact, smooth).statistic < 0.97
+
+
 def test_the_closed_form_is_the_limit_of_the_sampled_score():
     from scipy.stats import spearmanr
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bidexdata.errors import NotUsable, UnknownName
+from bidexdata.errors import BadValue, UnknownName
 from bidexdata.objects.closed import as_mesh, convex_hull, union
 from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.sources.item import SourceItem
@@ -48,7 +48,7 @@ def shape_items(request: str) -> list[SourceItem]:
 
     Raises:
         UnknownName: A family does not exist.
-        NotUsable: A count is not a positive number.
+        BadValue: A count is not a positive number.
     """
     wanted = [part.strip() for part in request.split(",") if part.strip()] or list(_FAMILIES)
     items = []
@@ -57,7 +57,7 @@ def shape_items(request: str) -> list[SourceItem]:
         if family not in _FAMILIES:
             raise UnknownName("family of shapes", family, _FAMILIES)
         if slash and not (count.isdecimal() and int(count) > 0):
-            raise NotUsable(f"shapes:{part}: write FAMILY/COUNT with a count of at least 1")
+            raise BadValue(f"shapes:{part}: write FAMILY/COUNT with a count of at least 1")
         items += [_item(family, k) for k in range(int(count) if slash else 1)]
     return items
 
@@ -67,13 +67,13 @@ def named_shape(name: str) -> SourceItem:
 
     Raises:
         UnknownName: The family does not exist.
-        NotUsable: The number is not a number.
+        BadValue: The number is not a number.
     """
     family, _, number = name.partition("/")
     if family not in _FAMILIES:
         raise UnknownName("family of shapes", family, _FAMILIES)
     if number and not number.isdecimal():
-        raise NotUsable(f"shapes:{name}: write FAMILY/NUMBER, for example shapes:box/2")
+        raise BadValue(f"shapes:{name}: write FAMILY/NUMBER, for example shapes:box/2")
     return _item(family, int(number or 0))
 
 

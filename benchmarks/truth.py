@@ -1,0 +1,112 @@
+"""The validator's verdicts against plain simulation: `python -m benchmarks.truth RUN`.
+
+Plain: every load to its end, with all collisions and whole hulls, as `Execution(early_stop=False)`
+runs it. Rows with synth_status OK are taken in this order until there are enough: audit rows in
+the order of the run, then rows that are selected and fail the quick test, by grasp_id.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache
+from multiprocessing import get_context
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bidexdata import Run
+from bidexdata.record import Status
+from bidexdata.validation import Execution, load_protocol, validate_grasps
+
+AUDIT = 300
+"""Grasps compared at least."""
+FAILING = 120
+"""Of which fail under plain simulation, at least."""
+
+
+class Pair(NamedTuple):
+    """Verdicts on one grasp."""
+
+    grasp_id: str
+    quick: bool
+    plain: bool
+
+
+def measure(path: str, test: str, protocol: str, workers: int = 2) -> dict[str, Any]:
+    """Compare audit rows, then failing selected rows until enough fail."""
+    run = Run.open(path)
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        audit = _run(pool, path, run, test, protocol, "audit")
+        pairs = audit[:AUDIT]
+        failing = sum(not p.plain for p in pairs)
+        if failing < FAILING or len(pairs) < AUDIT:
+            spare = _run(pool, path, run, test, protocol, "failing")
+            seen = {p.grasp_id for p in pairs}
+            for pair in sorted(p for p in spare if p.grasp_id not in seen):
+                if failing >= FAILING and len(pairs) >= AUDIT:
+                    break
+                pairs.append(pair)
+                failing += not pair.plain
+    return {
+        "run": run.fingerprint,
+        "test": test,
+        "protocol": protocol,
+        "n": len(pairs),
+        "failing": failing,
+        "different": sum(p.quick != p.plain for p in pairs),
+        "false_passes": sum(p.quick and not p.plain for p in pairs),
+        "different_ids": [p.grasp_id for p in pairs if p.quick != p.plain],
+    }
+
+
+def _run(
+    pool: ProcessPoolExecutor, path: str, run: Run, test: str, protocol: str, which: str
+) -> list[Pair]:
+    jobs = [pool.submit(_compare, path, i, test, protocol, which) for i in range(len(run.tasks))]
+    return [pair for job in jobs for pair in job.result()]
+
+
+def _compare(path: str, number: int, test: str, protocol: str, which: str) -> list[Pair]:
+    run = _opened(path)
+    task = run.tasks[number]
+    batch = run.task_batch(task)
+    good = batch.synth_status == Status.OK
+    batch = batch.select(
+        good & (batch.audit if which == "audit" else batch.selected & ~batch.audit)
+    )
+    solid, hands, rules = run.load_solid(task.object_id), run.hands(), load_protocol(protocol)
+
+    def success(rows: Any, *, quick: bool) -> np.ndarray:
+        how = Execution(early_stop=quick)
+        return validate_grasps(rows, solid, hands, rules, test, execution=how)["success"]
+
+    quick = success(batch, quick=True)
+    if which == "failing":
+        batch, quick = batch.select(~quick), quick[~quick]
+    plain = success(batch, quick=False)
+    return [
+        Pair(str(i), bool(q), bool(p)) for i, q, p in zip(batch.grasp_id, quick, plain, strict=True)
+    ]
+
+
+@cache
+def _opened(path: str) -> Run:
+    return Run.open(path)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the comparison as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run")
+    parser.add_argument("--test", default="f")
+    parser.add_argument("--protocol", default="paper-1")
+    parser.add_argument("--workers", type=int, default=2)
+    asked = parser.parse_args(arguments)
+    print(json.dumps(measure(asked.run, asked.test, asked.protocol, asked.workers), indent=2))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,167 @@
+"""Pictures of a simulated state: every body where the simulator has it, not where a row says.
+
+A replay of a test is a list of `SimulatedPose`, one camera for all of them, and one
+`simulation_frame` for each; `video.save_video` makes a file of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bidexdata.frames import matrix_from_quat
+from bidexdata.hands.model import Hand
+from bidexdata.objects.prepared import Solid
+from bidexdata.pictures.camera import Camera, framed
+from bidexdata.pictures.drawing import Surface, bodies_part, solid_parts, table_part
+from bidexdata.pictures.raycast import RayScene
+from bidexdata.pictures.scene import Part
+from bidexdata.pictures.sheet import Caption, captioned
+from bidexdata.pictures.views import choose_views, subject_points
+
+if TYPE_CHECKING:
+    from bidexdata.simulation.scene import SimScene
+
+FloatArray = NDArray[np.float64]
+Pixels = NDArray[np.uint8]
+
+_POINTS_PER_POSE = 500  # enough to place a camera
+
+
+class SimulatedPose(NamedTuple):
+    """World poses of all bodies of a scene at one moment, as MuJoCo's `xpos` and `xquat`."""
+
+    object_pos: FloatArray
+    """Origin of the object frame [m], (3,)."""
+    object_quat_wxyz: FloatArray
+    """(4,)."""
+    body_pos: tuple[FloatArray, ...]
+    """Origins of each hand's bodies in the hand's order [m], (B, 3) per hand."""
+    body_quat_wxyz: tuple[FloatArray, ...]
+    """(B, 4) per hand."""
+
+
+def read_simulated_pose(scene: SimScene) -> SimulatedPose:
+    """Copy where all bodies are from the scene's state, after any number of steps.
+
+    Positions of bodies are computed from `qpos` first, as every step does before anything else, so
+    looking changes nothing that follows.
+
+    Args:
+        scene: A scene with an object.
+    """
+    import mujoco
+
+    from bidexdata.simulation.assembly import OBJECT_BODY, hand_prefix
+
+    model, data = scene.model, scene.data
+    mujoco.mj_kinematics(model, data)
+    of_hand = [
+        [model.body(hand_prefix(i) + name).id for name in hand.body_names]
+        for i, hand in enumerate(scene.hands)
+    ]
+    obj = model.body(OBJECT_BODY).id
+    return SimulatedPose(
+        object_pos=np.array(data.xpos[obj], np.float64),
+        object_quat_wxyz=np.array(data.xquat[obj], np.float64),
+        body_pos=tuple(np.array(data.xpos[ids], np.float64) for ids in of_hand),
+        body_quat_wxyz=tuple(np.array(data.xquat[ids], np.float64) for ids in of_hand),
+    )
+
+
+def simulation_parts(
+    pose: SimulatedPose,
+    solid: Solid,
+    size: float,
+    hands: Sequence[Hand],
+    *,
+    table: bool = False,
+    surface: Surface = "mesh",
+) -> list[Part]:
+    """Everything that a picture of one moment shows.
+
+    Args:
+        pose: Where the bodies are.
+        solid: The object, at unit diagonal.
+        size: Its bounding-box diagonal [m].
+        hands: In the order of the pose's.
+        table: Draw the plane z = 0.
+        surface: The object's display mesh, or its convex pieces, each in its own colour.
+
+    Returns:
+        Parts labelled `object`, `left`, `right`, `ground`.
+    """
+    parts = solid_parts(solid, size, pose.object_pos, pose.object_quat_wxyz, surface=surface)
+    for hand, pos, quat in zip(hands, pose.body_pos, pose.body_quat_wxyz, strict=True):
+        parts.append(bodies_part(hand, pos, matrix_from_quat(quat)))
+    return [*parts, table_part(size)] if table else parts
+
+
+def simulation_camera(
+    poses: Sequence[SimulatedPose],
+    solid: Solid,
+    size: float,
+    hands: Sequence[Hand],
+    *,
+    table: bool = False,
+    aspect: float = 4 / 3,
+    device: str = "cpu",
+) -> Camera:
+    """Stand where the hands of the first pose are seen best and everything stays in the picture.
+
+    Args:
+        poses: At least one; the first and the extreme ones of a replay are enough.
+        solid: The object, at unit diagonal.
+        size: Its bounding-box diagonal [m].
+        hands: In the order of the poses'.
+        table: Whether the plane z = 0 hides what is below it.
+        aspect: Width over height of the pictures [-].
+        device: A Warp device.
+    """
+    first = simulation_parts(poses[0], solid, size, hands, table=table)
+    direction = choose_views(first, RayScene(first, device))[0]
+    points = [subject_points(simulation_parts(p, solid, size, hands)) for p in poses]
+    thinned = [p[:: 1 + len(p) // _POINTS_PER_POSE] for p in points]
+    # Corners of each moment's box stand in for the points that were left out.
+    boxes = [np.stack([p.min(axis=0), p.max(axis=0)]) for p in points]
+    return framed(np.concatenate([*thinned, *boxes]), direction, aspect)
+
+
+def simulation_frame(
+    pose: SimulatedPose,
+    solid: Solid,
+    size: float,
+    hands: Sequence[Hand],
+    caption: Caption,
+    camera: Camera,
+    *,
+    table: bool = False,
+    width: int = 480,
+    height: int = 360,
+    surface: Surface = "mesh",
+    device: str = "cpu",
+) -> Pixels:
+    """Draw one moment of a simulation with its words under it.
+
+    Args:
+        pose: Where the bodies are.
+        solid: The object, at unit diagonal.
+        size: Its bounding-box diagonal [m].
+        hands: In the order of the pose's.
+        caption: Such as the time, the phase and the verdict; frames of one video need the same
+            number of lines.
+        camera: `simulation_camera` of the same aspect stands well.
+        table: Draw the plane z = 0.
+        width: Pixels.
+        height: Pixels of the picture; the words come below.
+        surface: The object's display mesh, or its convex pieces, each in its own colour.
+        device: A Warp device.
+
+    Returns:
+        sRGB pixels, (height + lines, width, 3).
+    """
+    parts = simulation_parts(pose, solid, size, hands, table=table, surface=surface)
+    return captioned(RayScene(parts, device).draw(camera, width, height), caption)

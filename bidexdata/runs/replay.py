@@ -1,0 +1,189 @@
+"""One grasp of a run tested again, with every moment kept, and a video of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from bidexdata.errors import BadConfig, NotUsable
+from bidexdata.record import GraspBatch, Status
+from bidexdata.record.batch import in_metres
+from bidexdata.runs.run import Run
+
+if TYPE_CHECKING:
+    from bidexdata.pictures.simulated import SimulatedPose
+    from bidexdata.simulation.scene import SimScene
+    from bidexdata.validation.protocols import Protocol
+    from bidexdata.validation.verdict import Verdict
+
+FPS = 25
+"""Pictures per second; one per 0.04 s of simulation shows it at its own speed."""
+_LAST_SECONDS = 1.0
+"""The last picture stays for so long [s]."""
+
+
+class Moment(NamedTuple):
+    """What the scene looked like at one time."""
+
+    time: float
+    """Simulated since the start of the test, loads one after the other [s]."""
+    phase: str
+    """`closing`, `lift`, `hold`, or in test f `load +x` and so on."""
+    pose: SimulatedPose
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """A test of one grasp, moment by moment."""
+
+    grasp_id: str
+    test: str
+    protocol: str
+    verdict: Verdict
+    stored: str | None
+    """Label of the verdict that the run has; None where it has none."""
+    moments: tuple[Moment, ...]
+    video: Path | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data for `--json`."""
+        v = self.verdict
+        return {
+            "grasp_id": self.grasp_id,
+            "protocol": self.protocol,
+            "test": self.test,
+            "success": v.status is Status.OK,
+            "status": v.status.label,
+            "failed_stage": v.failed_stage.label,
+            "direction": v.direction,
+            "stored_status": self.stored,
+            "seconds_simulated": round(self.moments[-1].time, 3) if self.moments else 0.0,
+            "frames": len(self.moments),
+            "video": None if self.video is None else str(self.video),
+        }
+
+
+def replay_grasp(
+    run: Run, grasp_id: str, protocol: Protocol, test: str, video: str | Path | None = None
+) -> Replay:
+    """Test one grasp of a run again and look on.
+
+    Args:
+        run: The run.
+        grasp_id: Of one of its rows that has a grasp.
+        protocol: The settings.
+        test: Which test.
+        video: An .mp4 file to write.
+
+    Raises:
+        NotUsable: No such grasp, a row without a pose, or no scene can be built.
+        BadConfig: The video's ending is another.
+        MissingExtra: The package that writes videos is not installed.
+    """
+    from bidexdata.simulation.engine_log import engine_warnings_logged
+    from bidexdata.validation.protocols import require_test
+    from bidexdata.validation.stages import Execution
+    from bidexdata.validation.validate import TESTS, grasp_of, scene_of_rows, statuses_before
+
+    require_test(protocol, test)
+    path = None if video is None else Path(video)
+    if path is not None:
+        _check_video(path)
+    batch, stored = _row(run, grasp_id, protocol.name, test)
+    hands, solid = run.hands(), run.load_solid(str(batch["object_id"][0]))
+    before = Status(int(statuses_before(batch, hands)[0]))
+    if before is not Status.OK:
+        raise NotUsable(f"grasp {grasp_id} cannot be replayed: {before.sentence}")
+    scene = scene_of_rows(batch, solid, hands, protocol, test)
+    moments: list[Moment] = []
+    with engine_warnings_logged():
+        verdict = TESTS[test](scene, protocol, grasp_of(batch, 0), Execution(), _keep(moments))
+    if path is not None:
+        if not moments:
+            raise NotUsable(f"grasp {grasp_id} was not simulated: {verdict.status.sentence}")
+        _draw(path, batch, solid, scene, test, moments, verdict)
+    return Replay(grasp_id, test, protocol.name, verdict, stored, tuple(moments), path)
+
+
+def _check_video(path: Path) -> None:
+    from bidexdata.pictures.video import require_encoder
+
+    if path.suffix.lower() != ".mp4":
+        raise BadConfig(f"--video {path}: a replay is written as .mp4")
+    require_encoder()
+
+
+def _row(run: Run, grasp_id: str, protocol: str, test: str) -> tuple[GraspBatch, str | None]:
+    done, judged = run.done(), run.done(protocol, test)
+    for task in run.tasks:
+        if task.task_id not in done:
+            continue
+        batch = run.task_batch(task)
+        rows = np.flatnonzero(batch["grasp_id"] == grasp_id)
+        if len(rows) == 0:
+            continue
+        stored = None
+        if task.task_id in judged:
+            verdicts = run.task_verdicts(task, batch, protocol, test)
+            stored = Status(int(verdicts["verdict_status"][rows[0]])).label
+        mask = np.zeros(len(batch), bool)
+        mask[rows[0]] = True
+        return batch.select(mask), stored
+    raise NotUsable(f"{run.path} has no grasp {grasp_id}; `bidexdata table` lists its grasps")
+
+
+def _keep(moments: list[Moment]) -> Callable[[str, SimScene], None]:
+    """A watch that keeps one moment per picture of the video."""
+    from bidexdata.pictures.simulated import read_simulated_pose
+
+    last = [0.0, 0.0, ""]  # time of the scene at the last look, of the film, phase
+
+    def watch(phase: str, scene: SimScene) -> None:
+        now, (before, film, known) = float(scene.data.time), last
+        new = phase != known
+        film += now - before if now > before else scene.model.opt.timestep * 10
+        last[:] = now, film, phase
+        if new or not moments or film - moments[-1].time > 1 / FPS - 1e-6:
+            moments.append(Moment(film, phase, read_simulated_pose(scene)))
+
+    return watch
+
+
+def _draw(
+    path: Path,
+    batch: GraspBatch,
+    solid: Any,
+    scene: SimScene,
+    test: str,
+    moments: list[Moment],
+    verdict: Verdict,
+) -> None:
+    from bidexdata.pictures.sheet import Caption
+    from bidexdata.pictures.simulated import simulation_camera, simulation_frame
+    from bidexdata.pictures.video import save_video
+    from bidexdata.simulation.assembly import TABLE_GEOM
+
+    size = in_metres(batch["size"][0])
+    table = TABLE_GEOM in {scene.model.geom(i).name for i in range(scene.model.ngeom)}
+    ends = [moments[0].pose, moments[len(moments) // 2].pose, moments[-1].pose]
+    camera = simulation_camera(ends, solid, size, scene.hands, table=table)
+    head = f"{batch['object_id'][0]}  {batch['size_mm'][0]} mm  {batch['grasp_id'][0]}"
+    passed = verdict.status is Status.OK
+    outcome = f"passes test {test}" if passed else f"fails test {test}: {verdict.status.sentence}"
+
+    def frames():
+        for moment in moments:
+            last = moment is moments[-1]
+            words = f"{moment.time:5.2f} s  {moment.phase}"
+            caption = Caption(head, (words, outcome if last else ""), passed if last else None)
+            picture = simulation_frame(
+                moment.pose, solid, size, scene.hands, caption, camera, table=table
+            )
+            for _ in range(round(_LAST_SECONDS * FPS) if last else 1):
+                yield picture
+
+    save_video(frames(), path, FPS)
