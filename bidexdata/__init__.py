@@ -17,9 +17,11 @@ _PUBLIC = {
     "GraspBatch": "bidexdata.record",
     "Hand": "bidexdata.hands.model",
     "HandModel": "bidexdata.hands.torch_layer",
+    "ImportRequest": "bidexdata.runs.import_",
     "Library": "bidexdata.objects.library",
     "Release": "bidexdata.formats.release",
     "Run": "bidexdata.runs.run",
+    "import_run": "bidexdata.runs.import_",
     "load_hand": "bidexdata.hands",
     "load_hands": "bidexdata.hands",
     "load_protocol": "bidexdata.validation.protocols",
@@ -31,6 +33,7 @@ _PUBLIC = {
     "validate_grasps": "bidexdata.validation.validate",
     "validate_run": "bidexdata.runs.validate",
     "verify_release": "bidexdata.formats.verify",
+    "write_table": "bidexdata.runs.table",
 }
 
 if TYPE_CHECKING:
@@ -44,10 +47,13 @@ if TYPE_CHECKING:
     from bidexdata.objects.library import Library as Library
     from bidexdata.objects.prepare import prepare_object as prepare_object
     from bidexdata.record import GraspBatch as GraspBatch
+    from bidexdata.runs.import_ import ImportRequest as ImportRequest
+    from bidexdata.runs.import_ import import_run as import_run
     from bidexdata.runs.pack import pack_runs as pack_runs
     from bidexdata.runs.prepare import prepare_library as prepare_library
     from bidexdata.runs.run import Run as Run
     from bidexdata.runs.synth import synth_library as synth_library
+    from bidexdata.runs.table import write_table as write_table
     from bidexdata.runs.validate import validate_run as validate_run
     from bidexdata.synthesis.pipeline import synthesize as synthesize
     from bidexdata.validation.protocols import load_protocol as load_protocol

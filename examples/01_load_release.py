@@ -27,7 +27,7 @@ def main(release: str, batch_size: int = 64, points: int = 1024) -> None:
         assert batch["cloud_solid"].shape == (rows, points, 3)
         # Clouds come at the grasp's size, so none is wider than its object's diagonal.
         span = batch["cloud_solid"].amax(1) - batch["cloud_solid"].amin(1)
-        diagonal = batch["size_mm"] / 1000
+        diagonal = batch["size"]
         assert (span.norm(dim=-1) <= diagonal * 1.001).all()
         widest = max(widest, float(diagonal.max()))
         seen += rows

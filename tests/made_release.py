@@ -9,6 +9,7 @@ where a viewer or simulator must find them.
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,13 +17,15 @@ from typing import Any
 import numpy as np
 
 from bidexdata import frames
+from bidexdata.formats import parquet
 from bidexdata.formats.hand_files import _fields, contact_centres
+from bidexdata.formats.manifest import write_manifest
 from bidexdata.formats.release import ReleaseRows, RunInfo, write_release
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import PreparedObject, SignedDistanceGrid, TriangleMesh
 from bidexdata.record import GraspBatch, Header, Status
 from bidexdata.record.batch import empty_columns
-from bidexdata.record.fields import columns_written_by
+from bidexdata.record.fields import ADDED_IN, columns_written_by
 
 OBJECTS = ("box-aaaaaaaa", "flat-bbbbbbbb", "tetra-cccccccc")
 PAPER_F = ("paper-1", "f")
@@ -146,6 +149,7 @@ def made_rows(
     *,
     hands: Sequence[Hand] | None = None,
     sizes=SIZES,
+    exact: Sequence[float] | None = None,
     setting: str = "floating",
     run: str = "run",
     seed: int = 0,
@@ -169,6 +173,7 @@ def made_rows(
     c["scene_id"] = np.repeat(scenes, per)
     c["object_id"] = np.full(n, object_id)
     c["size_mm"][:] = np.repeat(sizes, per)
+    c["size"][:] = np.repeat(exact or [mm / 1000 for mm in sizes], per)
     c["setting"] = np.full(n, setting)
     c["attempt"][:] = np.tile(np.arange(per), len(sizes))
     c["sides"][:] = [("left", "right").index(h.side) for h in pair]
@@ -201,7 +206,9 @@ def made_verdicts(batch: GraspBatch, rng: np.random.Generator) -> dict[str, np.n
 def made_release(out: Path, object_ids=OBJECTS, *, runs=None, **options) -> Path:
     """Write a release of made rows; `rows` options go to `made_rows`."""
     rows = {
-        k: options.pop(k) for k in ("sizes", "setting", "seed", "tested", "hands") if k in options
+        k: options.pop(k)
+        for k in ("sizes", "exact", "setting", "seed", "tested", "hands")
+        if k in options
     }
     options = {"name": "made", "version": "1.0.0", "cloud_points": 1024, **options}
     options.setdefault("rows_of", lambda object_id: [made_rows(object_id, **rows)])
@@ -243,3 +250,22 @@ def _fill_poses(c, pair, rng, ok, setting) -> None:
         c["contact_point"][ok, h, :C] = centre - hand.contact_radius[:, None] * normal
         c["contact_force"][ok, h, :C] = -normal
         c["force_scale"][ok, h] = 2.0
+
+
+def as_schema_1_0(root: Path) -> None:
+    """Make of a release what version 1.0 of the schema would have written: without the columns that came later."""
+
+    def older(text: str | bytes) -> str:
+        return json.dumps({**json.loads(text), "schema_version": "1.0"})
+
+    for path in sorted(root.glob("*/**/*.parquet")):
+        table = parquet.read_table(path)
+        table = table.drop_columns([n for n in ADDED_IN if n in table.column_names])
+        metadata = table.schema.metadata
+        metadata[b"bidexdata"] = older(metadata[b"bidexdata"]).encode()
+        parquet.write_table(path, table.replace_schema_metadata(metadata))
+    (root / "grasps.h5").unlink()
+    head = json.loads((root / "manifest.json").read_text())
+    files = head.pop("files")
+    assert files
+    write_manifest(root, {**head, "header": older(head["header"])})

@@ -7,7 +7,6 @@ from typing import Any
 
 from bidexdata.cli.report import counts_text, millimetres, percent, share, table
 
-
 KEPT_MEANS = "kept = selected grasps / grasps wanted"
 LEGEND = (
     f"{KEPT_MEANS}; selected = passed / kept grasps; unselected = passed / attempts drawn before "
@@ -31,13 +30,17 @@ def figure_lines(
     lines = [
         f"{figures['n']} grasps of {figures['objects']} objects in {figures['scenes']} scenes "
         f"({figures['selected_rows']} selected, {figures['audit_rows']} audit{of_both})",
-        f"attempts (before any test): {counts_text(figures['by_status'])}",
     ]
+    if figures["by_status"]:  # nothing is known of the attempts behind imported rows
+        lines.append(f"attempts (before any test): {counts_text(figures['by_status'])}")
     tested = {t: v for t, v in figures["tests"].items() if v["selected"]["n"] or v["by_verdict"]}
     for test, found in tested.items():
+        rates = f"selected {percent(found['selected'])}"
+        if figures["kept"] is not None:
+            rates += f" with {share(figures['kept'])} kept"
+            rates += f"; unselected {percent(found['unselected'])}"
         lines += [
-            f"test {test} of {protocol}: selected {percent(found['selected'])} with "
-            f"{share(figures['kept'])} kept; unselected {percent(found['unselected'])}",
+            f"test {test} of {protocol}: {rates}",
             f"verdicts: {counts_text(found['by_verdict'])}",
         ]
     if tested:
@@ -46,18 +49,27 @@ def figure_lines(
             f"SPD {millimetres(figures['spd'])}, CDC {millimetres(figures['cdc'])}"
         )
     else:
-        lines.append(f"kept {share(figures['kept'])} of the wanted grasps; {untested}")
-    return [*lines, *_by_size(figures, list(tested)), LEGEND if tested else KEPT_MEANS]
+        kept = figures["kept"]
+        wanted = "" if kept is None else f"kept {share(kept)} of the wanted grasps; "
+        lines.append(wanted + untested)
+    legend = LEGEND if tested else KEPT_MEANS
+    known = figures["kept"] is not None
+    return [*lines, *_by_size(figures, list(tested)), *([legend] if known else [])]
 
 
 def _by_size(figures: Mapping[str, Any], tests: list[str]) -> list[str]:
-    head = ["size", "kept"]
+    from bidexdata.formats.figures import size_text
+
+    whole = figures["kept"] is not None  # imported rows have neither kept nor unselected
+    head = ["size", *(["kept"] if whole else [])]
     for test in tests:
-        head += [f"selected {test}", f"unselected {test}"]
+        head += [f"selected {test}", *([f"unselected {test}"] if whole else [])]
     rows = [head]
     for size, found in figures["by_size"].items():
-        row = [f"{int(size) / 1000:.2f} m", share(found["kept"])]
+        row = [size_text(size), *([share(found["kept"])] if whole else [])]
         for test in tests:
-            row += [percent(found[f"selected_{test}"]), percent(found[f"unselected_{test}"])]
+            row.append(percent(found[f"selected_{test}"]))
+            if whole:
+                row.append(percent(found[f"unselected_{test}"]))
         rows.append(row)
     return table(rows)

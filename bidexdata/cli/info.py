@@ -24,6 +24,8 @@ def info(
     other status a failure. Selected rate = successes / selected rows, printed with the kept share
     = selected / (N x scenes). Intervals are 95 %.
 
+    An imported run has the key files too: read, failed, left_out (grasps), failures (file, reason).
+
     --json keys: kind, path and, for a library: fingerprint, inputs, objects, hulls, by_status,
     failures; a run: fingerprint, hand, preset, setting, rest_poses, without_scene (objects that no
     scene could be made of), sizes_mm, grasps, candidates, seed, objects, tasks, done (per stage),
@@ -56,6 +58,12 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
         f"{data['setting']}, sizes {sizes or '-'} m, {asked}, seed {data['seed']}",
         f"fingerprint {data['fingerprint']}",
     ]
+    if "files" in data:
+        files = data["files"]
+        lines.append(
+            f"imported from {files['read']} files; {files['failed']} files and "
+            f"{files['left_out']} grasps could not be used"
+        )
     if data["without_scene"]:
         lines.append(no_scene_text(data["without_scene"]))
     for stage, done in data["done"].items():

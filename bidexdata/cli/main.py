@@ -18,12 +18,14 @@ os.environ.setdefault("TYPER_USE_RICH", "0")
 import typer
 
 from bidexdata.cli.demo import demo
+from bidexdata.cli.import_ import import_
 from bidexdata.cli.info import info
 from bidexdata.cli.names import hands, presets, protocols
 from bidexdata.cli.pack import pack
 from bidexdata.cli.prepare import prepare
 from bidexdata.cli.render import render
 from bidexdata.cli.synth import synth
+from bidexdata.cli.table import table
 from bidexdata.cli.validate import validate
 from bidexdata.cli.verify import verify
 from bidexdata.cli.view import view
@@ -37,10 +39,12 @@ COMMANDS = {
     "prepare": prepare,
     "synth": synth,
     "validate": validate,
+    "import": import_,
     "pack": pack,
     "view": view,
     "render": render,
     "info": info,
+    "table": table,
     "verify": verify,
     "hands": hands,
     "protocols": protocols,

@@ -11,6 +11,7 @@ from string import Template
 from typing import Any
 
 from bidexdata.formats import parquet
+from bidexdata.formats.figures import size_text
 from bidexdata.objects.sources.item import UNKNOWN
 from bidexdata.record.rates import Rate
 
@@ -93,7 +94,7 @@ def _by_size(figures: Mapping[str, Any]) -> str:
             rate_text(row[f"{kind}_{t}"]) for t in tests for kind in ("unselected", "selected")
         ]
         metrics = [_millimetres(row[m]) for m in ("pd", "spd", "cdc")]
-        rows.append([f"{int(size) / 1000:.2f} m", *rates, _share(row["kept"]), *metrics])
+        rows.append([size_text(size), *rates, _share(row["kept"]), *metrics])
     return _markdown(head, rows)
 
 
@@ -159,11 +160,12 @@ def _hub_metadata(root: Path, head: Mapping[str, Any]) -> str:
         parquet.read_table(root / "objects.parquet", ["licence"]).column("licence").to_pylist()
     )
     rows = head["figures"]["selected_rows"]
+    hands = ["bimanual"] if len(json.loads(head["header"])["hands"]) == 2 else []
     data: dict[str, Any] = {
         "pretty_name": f"{head['name']} {head['version']}",
         "license": _hub_licence(licences),
         "task_categories": ["robotics"],
-        "tags": ["dexterous grasping", "bimanual", "grasp synthesis", "bidexdata"],
+        "tags": ["dexterous grasping", *hands, "grasp synthesis", "bidexdata"],
         "size_categories": [_size_category(rows)],
         "configs": _configs(root),
     }

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+from bidexdata.formats.flat import FlatColumn, flat_columns
 from bidexdata.formats.tables import (
     GRASP_EXTRAS,
     METRICS,
@@ -51,6 +52,7 @@ def page() -> str:
         _section("objects", "One row per object.", OBJECT_FIELDS),
         _section("scenes", "One row per object, size and pose.", SCENE_FIELDS),
         _section("runs", "One row per run that was packed.", RUN_FIELDS),
+        _flat(),
         _statuses(),
     ]
     return "\n".join(parts)
@@ -69,6 +71,36 @@ def _section(title: str, text: str, fields: Iterable[Field]) -> str:
         cells = (f"`{f.name}`", f.dtype, f.shape, f.unit, f.frame, f.written_by, f.description)
         lines.append("| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _flat() -> str:
+    text = (
+        "What `bidexdata table RUN|RELEASE --out FILE.csv|FILE.parquet` writes: one row per grasp, "
+        "SI units, columns in this order. An empty cell means that nothing is known: the test was "
+        "not run, nothing was measured, an import does not say; it stands for NaN, and for -1 "
+        "where that means none. Statuses stand in words (see "
+        "below). Verdicts and metrics are those of `protocol`; a column that ends in `_f`, `_l` or "
+        "`_a` is of that test. Of a library it writes the index, one row per input file."
+    )
+    lines = [
+        "## bidexdata table",
+        "",
+        text,
+        "",
+        "| column | type | unit | meaning |",
+        "|" + "---|" * 4,
+    ]
+    columns = flat_columns()
+    lines += [_flat_line(c) for c in columns if c.field.table == "grasps"]
+    lines.append("| `protocol` | string |  | protocol of the verdicts and metrics |")
+    lines += [_flat_line(c) for c in columns if c.field.table != "grasps"]
+    return "\n".join(lines) + "\n"
+
+
+def _flat_line(column: FlatColumn) -> str:
+    field = column.field
+    kind = "string" if column.is_label else field.dtype
+    return f"| `{column.name}` | {kind} | {field.unit} | {field.description} |"
 
 
 def _statuses() -> str:

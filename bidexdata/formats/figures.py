@@ -186,6 +186,12 @@ class Tally:
         return clustered_interval([p[0] for p in pairs], [p[1] for p in pairs])
 
 
+def size_text(size_mm: int | str) -> str:
+    """A size in metres for a person, to the millimetre where it is not a whole centimetre."""
+    mm = int(size_mm)
+    return f"{mm / 1000:.{2 if mm % 10 == 0 else 3}f} m"
+
+
 def _flags(batch: GraspBatch) -> tuple[np.ndarray, np.ndarray]:
     # Imported rows carry neither flag: they are all selected, none is an audit row.
     n = len(batch)

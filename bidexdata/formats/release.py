@@ -29,6 +29,7 @@ from bidexdata.kinds import expect_kind
 from bidexdata.objects.library import object_folder
 from bidexdata.objects.storage import read_solid
 from bidexdata.record import GraspBatch, HandHeader, Header
+from bidexdata.record.batch import empty_columns
 from bidexdata.record.fields import columns_of_table
 
 if TYPE_CHECKING:
@@ -251,7 +252,7 @@ class Release:
         tables = ["grasps", "contacts"]
         if key in self.protocols:
             tables.append("verdicts/" + "-".join(key))
-        columns = [*GRASP_COLUMNS]
+        columns = [n for n in GRASP_COLUMNS if not self.header.lacks(n)]
         for files in zip(*(self.table_files(t, configuration, split) for t in tables), strict=True):
             groups = None
             if object_id is not None:
@@ -281,7 +282,9 @@ class Release:
             success = parts[2].column("success").fill_null(False)
             verdict = parts[2].set_column(at, pa.field("success", pa.bool_()), success)
             judged = GraspBatch.from_arrow(verdict)
-            more |= {n: judged[n] for n in VERDICT_COLUMNS}
+            late = [n for n in VERDICT_COLUMNS if self.header.lacks(n)]
+            more |= empty_columns(batch.header, late, len(batch))
+            more |= {n: judged[n] for n in VERDICT_COLUMNS if n not in late}
         return batch.with_columns(**more)
 
     def _check_object(self, object_id: str) -> None:

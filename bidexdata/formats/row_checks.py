@@ -38,6 +38,8 @@ edges the closest point is not a foot, and the distance to the solid decides."""
 CONTACT_ABSOLUTE, CONTACT_RELATIVE = 0.001, 0.005
 """How much farther than the closest point the stored one may be [m, fraction of the size]: the
 optimiser looks it up on a distance grid."""
+SIZE_ROUNDING = 0.51
+"""Largest difference of `size` and `size_mm` [mm]: half a millimetre and float32's share."""
 GRASP_STAGE = 1
 _NOT_THERE = "its contact points are not where its joints put the pads"
 
@@ -100,7 +102,7 @@ def contacts(release: Release) -> str:
         doubtful = (pads.slide > CONTACT_SLIDE) & (distance > 0)
         for row in np.flatnonzero(doubtful.any(axis=(1, 2))):
             use = doubtful[row]
-            size = batch["size_mm"][row] / 1000
+            size = float(batch["size"][row])
             nearest = _distance_to_solid(release, batch["object_id"][row], pads.pad[row][use], size)
             excess = float((distance[row][use] - nearest).max())
             if excess > CONTACT_ABSOLUTE + CONTACT_RELATIVE * size:
@@ -250,6 +252,8 @@ def _check_values(batch: GraspBatch) -> None:
             finite = np.isfinite(batch[name][:, h]).all(axis=-1)
             _refuse(batch, ok & (used & ~finite).any(axis=1), f"{name} is not finite")
     _refuse(batch, batch["size_mm"] <= 0, "size_mm is not positive")
+    apart = np.abs(1000 * batch["size"] - batch["size_mm"]) > SIZE_ROUNDING
+    _refuse(batch, apart | ~np.isfinite(batch["size"]), "size does not round to size_mm")
     if "success" in batch:
         _refuse(batch, batch["success"] & ~ok, "an attempt without a grasp is marked successful")
 

@@ -180,6 +180,7 @@ def _checked(
     full = empty_columns(header, (*GRASP_COLUMNS, *CONTACT_COLUMNS), n)
     full["selected"] = np.ones(n, bool)  # imported rows without flags are the data set itself
     full |= {k: v for k, v in batch.columns.items() if k in full}
+    full["size"] = batch["size"]  # rows of older versions have none
     batch = GraspBatch(header, full)
     # Rows without a flag belong to no configuration.
     keep = batch["selected"] | batch["audit"]

@@ -13,6 +13,7 @@ from bidexdata.formats import parquet, tables
 from bidexdata.formats.clouds import CLOUDS
 from bidexdata.formats.hand_files import hand_folder, header_of
 from bidexdata.formats.object_table import shape_hash
+from bidexdata.record import Header
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -34,7 +35,7 @@ def row_tables(release: Release) -> str:
         for table, schema in expected.items():
             files = release.table_files(table, configuration)
             for file in files:
-                _same_schema(parquet.read_schema(file), schema, str(file))
+                _same_schema(parquet.read_schema(file), schema, str(file), header)
             groups = [(file.name, parquet.row_counts(file)) for file in files]
             if aligned not in (None, groups):
                 raise Contradiction(f"{table} ({configuration}) has other rows than grasps")
@@ -53,7 +54,7 @@ def row_tables(release: Release) -> str:
         ("runs", tables.RUN_FIELDS),
     ):
         file = release.path / f"{name}.parquet"
-        _same_schema(parquet.read_schema(file), tables.plain_schema(fields), str(file))
+        _same_schema(parquet.read_schema(file), tables.plain_schema(fields), str(file), header)
     for kind in CLOUDS:
         if len(release.cloud(kind)) != len(release.object_ids):
             raise Contradiction(f"{kind}.npy has another number of objects than objects.parquet")
@@ -139,9 +140,12 @@ def read_tree(release: Release, name: str, side: str) -> dict[str, Any]:
         raise Contradiction(f"{path}: unreadable hand ({err})") from err
 
 
-def _same_schema(found: pa.Schema, expected: pa.Schema, where: str) -> None:
-    # A newer minor version may append columns; what we know must be there as we know it.
+def _same_schema(found: pa.Schema, expected: pa.Schema, where: str, header: Header) -> None:
+    # A newer minor version may append columns, an older one lacks those that came later; what the
+    # file's version knows must be there as we know it.
     for field in expected:
+        if header.lacks(field.name):
+            continue
         at = found.get_field_index(field.name)
         if at < 0:
             raise Contradiction(f"{where}: column {field.name} is missing")

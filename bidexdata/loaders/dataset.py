@@ -25,10 +25,10 @@ from bidexdata.loaders.poses import points_in_world, poses_in_object_frame
 
 log = logging.getLogger(__name__)
 
-DEFAULT_FIELDS = ("hand_pos", "hand_quat_wxyz", "joints", "size_mm")
+DEFAULT_FIELDS = ("hand_pos", "hand_quat_wxyz", "joints", "size_mm", "size")
 _POSE_OF_OBJECT = ("object_pos", "object_quat_wxyz")
 _HAND_POSES = ("hand_pos", "hand_quat_wxyz")
-_ALWAYS = ("object_id", "size_mm", "setting")
+_ALWAYS = ("object_id", "setting")
 
 
 class BiDexDataset:
@@ -151,7 +151,7 @@ class BiDexDataset:
     def _open(self) -> None:
         scalars = self._scalar_columns()
         self._map()
-        known = {*self._values.columns, *scalars, *hdf5.INTEGER_LISTS}
+        known = {*self._values.columns, *scalars, *hdf5.INTEGER_LISTS, "size"}
         for name in self.fields:
             if name not in known:
                 raise UnknownName("field", name, sorted(known))
@@ -162,15 +162,19 @@ class BiDexDataset:
         mine = [n for n in self.fields if n in scalars and n not in self._values.columns]
         lists = [n for n in self.fields if n in hdf5.INTEGER_LISTS]
         place = (self.configuration, self.split)
-        needed = [*mine, *_ALWAYS, *(scalars if named is None else named)]
+        size = "size" if "size" in scalars else "size_mm"
+        needed = [*mine, *_ALWAYS, size, *(scalars if named is None else named)]
         index = self.release.index(*place, list(dict.fromkeys(needed)))
         self._total = index.num_rows
         self._rows = matching_rows(self.where, index)
-        self._scalars = {n: scalar_values(index.column(n)) for n in mine}
         self._lists = hdf5.read_integer_lists(self.release.path, *place, lists)
         ids = scalar_values(index.column("object_id"))
         self._object_index = np.searchsorted(np.array(self.release.object_ids), ids)
-        self._size_mm = scalar_values(index.column("size_mm"))
+        sizes = scalar_values(index.column(size))
+        self._sizes = sizes if size == "size" else (sizes / 1000).astype(np.float32)
+        self._scalars = {n: scalar_values(index.column(n)) for n in mine}
+        if "size" in self.fields and "size" not in self._values.columns:
+            self._scalars["size"] = self._sizes
         # Floating scenes have the identity pose: nothing to convert (docs/conventions.md).
         self._moved = bool(np.any(scalar_values(index.column("setting")) != "floating"))
 
@@ -231,7 +235,7 @@ class BiDexDataset:
     def _clouds(self, rows: np.ndarray, objects: np.ndarray, block: np.ndarray) -> np.ndarray:
         assert self._cloud is not None
         cloud = np.asarray(np.take(self._cloud, objects, axis=0))
-        cloud *= (self._size_mm[rows] / 1000).astype(np.float32)[:, None, None]
+        cloud *= self._sizes[rows][:, None, None]
         if self._moved and self.frame == "world":
             pos, quat = (self._column(block, n) for n in _POSE_OF_OBJECT)
             cloud = points_in_world(pos, quat, cloud)

@@ -46,5 +46,10 @@ def object_id_of(item: SourceItem, data: bytes) -> str:
         parts = [item.path.stem, *reversed(Path(item.source_name).parent.parts)]
         parts += list(reversed(item.path.resolve().parent.parts))
         name = next((p for p in parts if p.lower() not in _GENERIC), item.path.stem)
+    return named_id(name, hashlib.sha256(data).hexdigest())
+
+
+def named_id(name: str, sha256: str) -> str:
+    """Slug of a name, `-`, first 8 hex digits of a hash."""
     slug = re.sub(r"[^a-z0-9_-]+", "-", name.lower()).strip("-")[:48] or "object"
-    return f"{slug}-{hashlib.sha256(data).hexdigest()[:8]}"
+    return f"{slug}-{sha256[:8]}"

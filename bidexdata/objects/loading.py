@@ -63,6 +63,21 @@ def load_mesh(path: Path, data: bytes, config: LoadConfig) -> LoadedMesh:
     )
 
 
+def file_mesh(path: Path, config: LoadConfig) -> TriangleMesh:
+    """Read a mesh file in its own units, turned to z up; vertices without faces are dropped.
+
+    Raises:
+        PrepareFailure: It cannot be read, is no mesh, or one that cannot be used.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as err:
+        reason = err.strerror or type(err).__name__
+        raise PrepareFailure(Status.UNREADABLE, f"{path.name}: {reason}") from err
+    loaded = load_mesh(path, data, config)
+    return TriangleMesh(loaded.centre + loaded.diagonal * loaded.mesh.vertices, loaded.mesh.faces)
+
+
 def unit_mesh(
     mesh: TriangleMesh,
     config: LoadConfig,

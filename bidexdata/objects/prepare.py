@@ -9,32 +9,25 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bidexdata.errors import PathNotFound
-from bidexdata.objects.closed import as_manifold, as_mesh, convex_hull, union
+from bidexdata.objects.assemble import UnitSolid, assembled, unit_solid
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.convex import Decomposition, decompose
 from bidexdata.objects.deviation import hausdorff
-from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.identity import object_id_of, source_bytes
 from bidexdata.objects.loading import LoadedMesh, load_mesh, unit_mesh
-from bidexdata.objects.physics import mass_properties, rest_poses
+from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepared import PreparedObject, TriangleMesh
 from bidexdata.objects.repair import Repaired, repair
-from bidexdata.objects.sdf import signed_distance_grid
 from bidexdata.objects.sources import SourceItem
 from bidexdata.objects.sources.shapes import shape_mesh
-from bidexdata.objects.surface import surface_points
-from bidexdata.record.status import Status
 
 _SHRUNK = 0.95
 """Share of the diagonal below which a repaired mesh is scaled anew."""
-_SLIVER = 1e-5
-"""Tolerance at which the needles that a union leaves are collapsed; searches are in float32."""
 
 
 def prepare_object(
@@ -70,9 +63,9 @@ def prepare_object(
         loaded = load_mesh(item.path, data, config.load)
     repaired, loaded = _rescaled(repair(loaded.mesh, config.repair), loaded)
     split = decompose(repaired.mesh, config.convex)
-    solid = _solid_of(split.pieces)
+    solid = unit_solid(split.pieces)
     provenance = _provenance(item, data, loaded, repaired, split, solid, config)
-    return _assembled(object_id_of(item, data), repaired, solid, provenance, config)
+    return assembled(object_id_of(item, data), solid, repaired.mesh, provenance, config)
 
 
 def _rescaled(repaired: Repaired, loaded: LoadedMesh) -> tuple[Repaired, LoadedMesh]:
@@ -90,90 +83,13 @@ def _rescaled(repaired: Repaired, loaded: LoadedMesh) -> tuple[Repaired, LoadedM
     return repaired, loaded._replace(centre=centre, diagonal=loaded.diagonal * diagonal)
 
 
-class _UnitSolid(NamedTuple):
-    """The union of the pieces in the object frame, and how to get there from the loaded mesh."""
-
-    pieces: tuple[TriangleMesh, ...]
-    mesh: TriangleMesh
-    volume: float
-    inertia: NDArray[np.float64]
-    centre: NDArray[np.float64]
-    diagonal: float
-
-
-def _solid_of(pieces: tuple[TriangleMesh, ...]) -> _UnitSolid:
-    """Unite the pieces, move the centre of mass to the origin, scale the box diagonal to 1.
-
-    Positions are rounded to float32, which files and kernels use, before anything is computed
-    from them: what is read back is what was computed with.
-    """
-    whole = _united(pieces)
-    centre = mass_properties(whole).centre
-    diagonal = float(np.linalg.norm(np.ptp(whole.vertices, axis=0)))
-    moved = tuple(as_mesh(convex_hull(_rounded((p.vertices - centre) / diagonal))) for p in pieces)
-    mesh = _united(moved)
-    mesh = TriangleMesh(_rounded(mesh.vertices), mesh.faces)
-    mass = mass_properties(mesh)
-    return _UnitSolid(moved, mesh, mass.volume, mass.inertia, centre, diagonal)
-
-
-def _united(pieces: tuple[TriangleMesh, ...]) -> TriangleMesh:
-    parts = [as_manifold(p) for p in pieces]
-    whole = union([p for p in parts if p is not None])
-    if whole.is_empty() or whole.volume() <= 0:
-        raise PrepareFailure(Status.DECOMPOSITION_FAILED, "the union of the pieces is empty")
-    return as_mesh(whole.simplify(_SLIVER))
-
-
-def _assembled(
-    object_id: str,
-    repaired: Repaired,
-    solid: _UnitSolid,
-    provenance: dict[str, Any],
-    config: PrepareConfig,
-) -> PreparedObject:
-    hull = as_mesh(convex_hull(solid.mesh.vertices))
-    rest = rest_poses(hull, config.rest)
-    points, normals = surface_points(solid.mesh, config.surface)
-    display = _display(repaired.mesh, config.repair.display_faces)
-    moved = _rounded((display.vertices - solid.centre) / solid.diagonal)
-    return PreparedObject(
-        object_id=object_id,
-        mesh=TriangleMesh(moved, display.faces),
-        pieces=solid.pieces,
-        volume=solid.volume,
-        inertia=solid.inertia,
-        rest_quats_wxyz=rest.quats_wxyz,
-        rest_heights=rest.heights,
-        rest_probabilities=rest.probabilities,
-        provenance=provenance,
-        solid=solid.mesh,
-        hull=hull,
-        surface_points=points,
-        surface_normals=normals,
-        sdf=signed_distance_grid(solid.mesh, solid.pieces, config.sdf),
-    )
-
-
-def _display(mesh: TriangleMesh, most: int) -> TriangleMesh:
-    """Simplify a mesh until it has at most about `most` faces."""
-    tolerance = 1e-4
-    while len(mesh.faces) > most and tolerance < 0.02:
-        solid = as_manifold(mesh)
-        if solid is None:
-            break
-        mesh = as_mesh(solid.simplify(tolerance))
-        tolerance *= 2
-    return mesh
-
-
 def _provenance(
     item: SourceItem,
     data: bytes,
     loaded: LoadedMesh,
     repaired: Repaired,
     split: Decomposition,
-    solid: _UnitSolid,
+    solid: UnitSolid,
     config: PrepareConfig,
 ) -> dict[str, Any]:
     """Where the object is from, what was done to it, and how far that moved its surface."""
@@ -224,7 +140,3 @@ def _item_and_bytes(source: str | Path | TriangleMesh | SourceItem) -> tuple[Sou
             raise PathNotFound(path, "a mesh file or shapes:FAMILY")
         item = SourceItem(source_name=path.name, path=path)
     return item, source_bytes(item)
-
-
-def _rounded(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    return points.astype(np.float32).astype(np.float64)

@@ -63,21 +63,26 @@ class Solid:
     """(K,), summing to at most 1."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     """Source, licence, author, category, source_name, source_sha256, source_diagonal, steps of the
-    repair, hausdorff (fraction of the diagonal), piece_method, warnings."""
-
-    @property
-    def nominal_volume(self) -> float:
-        """Volume at unit diagonal that a nominal mass refers to.
-
-        That of another mesh of the object where an imported benchmark says so, else the solid's.
-        """
-        return float(self.provenance.get("nominal_volume", self.volume))
+    repair, hausdorff (fraction of the diagonal), piece_method, warnings; `origin_in_file` and
+    `unit_in_file`, x_file = origin_in_file + unit_in_file * x_object after the turn to z up."""
 
     @property
     def source_origin(self) -> NDArray[np.float64]:
-        """Origin of the source file's coordinates in the object frame, unit diagonal, (3,)."""
-        origin = np.array(self.provenance.get("origin_in_file", (0.0, 0.0, 0.0)), np.float64)
+        """Origin of the source file's frame in the object frame, unit diagonal, (3,).
+
+        Zero where the provenance does not say.
+        """
+        origin = np.asarray(self.provenance.get("origin_in_file", (0.0, 0.0, 0.0)), np.float64)
         return -origin / float(self.provenance.get("unit_in_file", 1.0))
+
+    @property
+    def nominal_volume(self) -> float:
+        """Volume at unit diagonal that a nominal mass of the source refers to.
+
+        A body of nominal mass m weighs m * volume / nominal_volume here. It is the volume of the
+        solid where the source names no other.
+        """
+        return float(self.provenance.get("nominal_volume", self.volume))
 
     def mass(self, size: float, density: float) -> float:
         """Mass [kg] at bounding-box diagonal `size` [m] and `density` [kg/m^3]."""

@@ -61,7 +61,7 @@ def grasp_parts(
         the object alone.
     """
     pos, quat = batch["object_pos"][row], batch["object_quat_wxyz"][row]
-    size = float(batch["size_mm"][row]) / 1000
+    size = float(batch["size"][row])
     parts = solid_parts(solid, size, pos, quat, surface=surface)
     if has_pose(batch, row):
         poses = poses_at(batch, row, stage)

@@ -16,6 +16,7 @@ FloatArray = NDArray[np.float64]
 DEFAULT_DIRECTION = (0.55, -0.72, 0.42)
 """To the camera, when there are no hands: from the right front, above."""
 SUBJECTS = ("left", "right")
+OBJECT = "object"
 _SIDE = 48  # pixels of the trial pictures: enough to compare areas
 _FRAMING_POINTS = 2000  # enough to place a trial camera
 _TILT = np.radians(20.0)
@@ -26,20 +27,19 @@ def choose_views(parts: Sequence[Part], scene: RayScene, count: int = 1) -> list
     """Choose directions to the camera, unit, (count of (3,)); `scene` is made of the same parts.
 
     The candidates lie around the line between the hands, so that the hands stand on opposite sides
-    of the picture. The first shows most of the hand that is seen least; each further one does so
+    of the picture; a single hand stands opposite to the object, which then counts as the other.
+    The first shows most of the hand that is seen least; each further one does so
     among those at least 60 degrees away from the ones chosen before. Ties go to the candidate
     with the lowest number, so the choice is deterministic.
     """
-    subjects = [i for i, p in enumerate(parts) if p.label in SUBJECTS and len(p.faces)]
-    candidates = _candidates([parts[i].vertices.mean(axis=0) for i in subjects])
+    subjects = _subjects(parts)
+    candidates = _candidates([_middle([parts[i] for i in group]) for group in subjects])
     if not subjects:
         return [candidates[k] for k in range(count)]
     points = subject_points(parts)
     points = points[:: 1 + len(points) // _FRAMING_POINTS]
-    score = np.array(
-        [scene.visible(framed(points, d, 1.0), _SIDE, _SIDE)[subjects].min() for d in candidates],
-        np.float64,
-    )
+    areas = [scene.visible(framed(points, d, 1.0), _SIDE, _SIDE) for d in candidates]
+    score = np.array([min(a[group].sum() for group in subjects) for a in areas], np.float64)
     score *= _readable(candidates[:, 2])
     chosen: list[FloatArray] = []
     allowed = np.ones(len(candidates), bool)
@@ -56,7 +56,8 @@ def side_direction(hand_centres: Sequence[FloatArray]) -> FloatArray:
     """Direction to a camera that has the hands on its two sides, nearest to the default, (3,).
 
     Args:
-        hand_centres: Where the hands are, each (3,) [m]; any number.
+        hand_centres: Where the hands are, each (3,) [m]; any number. For a single hand give the
+            object's centre too.
     """
     return _candidates(hand_centres)[0]
 
@@ -65,6 +66,18 @@ def subject_points(parts: Sequence[Part]) -> FloatArray:
     """Points that must be inside the picture: everything but the ground, (n, 3) [m]."""
     shown = [p.vertices for p in parts if p.label != "ground" and len(p.vertices)]
     return np.concatenate(shown) if shown else np.zeros((1, 3))
+
+
+def _subjects(parts: Sequence[Part]) -> list[list[int]]:
+    """Numbers of the parts of each thing that must be seen: the hands, or one hand and the object."""
+    solid = [i for i, p in enumerate(parts) if len(p.faces)]
+    hands = [[i] for i in solid if parts[i].label in SUBJECTS]
+    whole = [i for i in solid if parts[i].label == OBJECT]
+    return [whole, *hands] if len(hands) == 1 and whole else hands
+
+
+def _middle(parts: Sequence[Part]) -> FloatArray:
+    return np.concatenate([p.vertices for p in parts]).mean(axis=0)
 
 
 def _readable(height: FloatArray) -> FloatArray:

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bidexdata.errors import BidexError, Contradiction
-from bidexdata.record.fields import FIELDS, STAGES, Field
+from bidexdata.record.fields import ADDED_IN, FIELDS, STAGES, Field
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-SCHEMA_VERSION = "1.0"
+SCHEMA_VERSION = "1.1"
 _HEADER_KEY = b"bidexdata"
 
 
@@ -57,6 +57,10 @@ class Header:
     schema_version: str = SCHEMA_VERSION
     extra: Mapping[str, Any] = field(default_factory=dict)
     """Keys of newer minor versions, kept as read."""
+
+    def lacks(self, name: str) -> bool:
+        """Whether data with this header was written before the column `name` existed."""
+        return name in ADDED_IN and _number(self.schema_version) < _number(ADDED_IN[name])
 
     def axis(self, letter: str) -> int:
         """Length of the axis H, S, J or C, or the number that `letter` spells.
@@ -122,7 +126,8 @@ class Header:
 class GraspBatch:
     """N grasps: a header and columns of the field table, each with leading axis N.
 
-    Columns read as attributes (`batch.hand_pos`) or items (`batch["hand_pos"]`).
+    Columns read as attributes (`batch.hand_pos`) or items (`batch["hand_pos"]`). Rows without the
+    column `size`, as older versions wrote them, have size_mm / 1000.
     """
 
     header: Header
@@ -142,6 +147,8 @@ class GraspBatch:
         try:
             return self.columns[name]
         except KeyError:
+            if name == "size" and "size_mm" in self.columns:
+                return _size_of(self.columns["size_mm"])
             have = ", ".join(self.columns)
             raise KeyError(f"this batch has no column {name!r}; it has {have}") from None
 
@@ -207,7 +214,7 @@ class GraspBatch:
 
     @classmethod
     def from_arrow(cls, table: pa.Table) -> GraspBatch:
-        """Read what `to_arrow` wrote, bit for bit.
+        """Read what `to_arrow` wrote, bit for bit; an older version's rows get their `size`.
 
         Raises:
             Contradiction: The table has no header of ours.
@@ -218,6 +225,8 @@ class GraspBatch:
         header = Header.from_json(text)
         names = [n for n in table.column_names if n in FIELDS]
         columns = {n: _from_arrow_array(table.column(n), header, FIELDS[n]) for n in names}
+        if header.lacks("size") and "size_mm" in columns:
+            columns.setdefault("size", _size_of(columns["size_mm"]))
         return cls(header, columns)
 
 
@@ -266,6 +275,26 @@ def empty_columns(header: Header, names: Sequence[str], n: int) -> dict[str, np.
         dtype = "<U1" if column.dtype == "string" else column.dtype
         made[name] = np.full((n, *header.shape(column)), fill_value(column), dtype=dtype)
     return made
+
+
+def in_metres(size: np.float32) -> float:
+    """Give a stored `size` in float64, as the shortest decimal that float32 rounds to it.
+
+    A size of whole millimetres comes back exactly, so that simulating it repeats.
+
+    Example:
+        >>> in_metres(np.float32(0.3)), float(np.float32(0.3))
+        (0.3, 0.30000001192092896)
+    """
+    return float(str(np.float32(size)))
+
+
+def _size_of(size_mm: np.ndarray) -> np.ndarray:
+    return (size_mm / 1000).astype(np.float32)
+
+
+def _number(version: str) -> tuple[int, ...]:
+    return tuple(int(part) if part.isdecimal() else 0 for part in version.split("."))
 
 
 def _check(header: Header, name: str, value: np.ndarray) -> np.ndarray:

@@ -52,11 +52,12 @@ _ALL = (
     _f("scene_id", "string", "", "", "", "synth", "grasps", "<object_id>/<size_mm>/float or .../table<k>"),
     _f("object_id", "string", "", "", "", "synth", "grasps", "slug of the source's id and first 8 hex digits of the source file's sha256"),
     _f("size_mm", "int32", "", "mm", "", "synth", "grasps", "bounding-box diagonal of the simulated solid in the object frame"),
+    _f("size", "float32", "", "m", "object", "synth", "grasps", "bounding-box diagonal of the simulated solid; size_mm is this, rounded"),
     _f("setting", "string", "", "", "", "synth", "grasps", "floating or tabletop"),
     _f("object_pos", "float32", "3", "m", "world", "synth", "grasps", "origin of the object frame"),
     _f("object_quat_wxyz", "float32", "4", "", "world", "synth", "grasps", "orientation of the object frame, unit, w >= 0"),
     _f("sides", "int8", "H", "", "", "synth", "grasps", "side of each hand: 0 left, 1 right"),
-    _f("attempt", "int32", "", "", "", "synth", "grasps", "number of the attempt within its scene"),
+    _f("attempt", "int32", "", "", "", "synth", "grasps", "number of the attempt within its scene; imported rows are numbered as they come"),
     _f("source_ref", "string", "", "", "", "import", "grasps", "file (and #row) an imported grasp came from; empty otherwise"),
     # pose
     _f("hand_pos", "float32", "H S 3", "m", "world", "synth", "grasps", "origin of the hand frame (root body) per stage"),
@@ -103,6 +104,9 @@ _ALL = (
 # fmt: on
 
 FIELDS: dict[str, Field] = {field.name: field for field in _ALL}
+
+ADDED_IN = dict.fromkeys(("size", "failed_stage", "q1", "qp_certificate"), "1.1")
+"""Schema version that brought a column; data of earlier versions does without it."""
 
 IDENTITY = ("grasp_id", "scene_id", "object_id", "size_mm", "setting", "attempt")
 """Columns that every shard and table repeats or can be joined on."""

@@ -74,6 +74,7 @@ def describe_run(run: Run) -> dict[str, Any]:
         "hand": spec.hand,
         "preset": spec.preset,
         "setting": spec.setting,
+        **_imported(run),
         "rest_poses": spec.rest_poses,
         "without_scene": list(spec.without_scene),
         "sizes_mm": list(spec.sizes_mm),
@@ -87,6 +88,22 @@ def describe_run(run: Run) -> dict[str, Any]:
         "figures": figures[protocols[0]],
         "protocols": {p: found for p, found in figures.items() if p},
     }
+
+
+def _imported(run: Run) -> dict[str, Any]:
+    """What became of the files of an imported run; nothing for other runs."""
+    if run.spec.kind != "import":
+        return {}
+    from bidexdata.runs.import_scan import read_files
+
+    files = read_files(run.path)
+    told = [{"file": f.file, "reason": f.reason} for f in files if f.reason]
+    counts = {
+        "read": sum(not f.failed for f in files),
+        "failed": sum(f.failed for f in files),
+        "left_out": sum(f.left_out for f in files),
+    }
+    return {"files": {**counts, "failures": told}}
 
 
 def made_with_of(run: Run, finished: Finished) -> dict[str, list[dict[str, Any]]]:

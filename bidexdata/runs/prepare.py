@@ -8,8 +8,6 @@ the same inputs and configuration give the same bytes.
 from __future__ import annotations
 
 import hashlib
-import multiprocessing
-import os
 import shutil
 import time
 from collections import Counter
@@ -30,6 +28,7 @@ from bidexdata.objects.sources import SourceItem, resolve_sources
 from bidexdata.objects.storage import read_document, write_object
 from bidexdata.record.status import Status
 from bidexdata.runs.executors import TaskFailure, check_executor, run_tasks
+from bidexdata.runs.memory import limit_memory
 from bidexdata.runs.plan import take_shard
 from bidexdata.runs.prepare_parts import Parts, Row
 from bidexdata.runs.progress import Progress
@@ -172,7 +171,7 @@ def prepare_one(task: PrepareTask) -> Row:
     Returns:
         The columns that are known here: status and reason, empty when everything succeeded.
     """
-    _limit_memory(task.config.limits.memory_gib)
+    limit_memory(task.config.limits.memory_gib)
     try:
         obj = prepare_object(task.item, task.config)
     except PrepareFailure as failure:
@@ -322,20 +321,3 @@ def _remove_partials(out: Path) -> None:
         shutil.rmtree(partial, ignore_errors=True)
     for partial in orphans(out.glob(".*.partial")):
         partial.unlink(missing_ok=True)
-
-
-def _limit_memory(gib: float) -> None:
-    """Bound the address space of a worker process; never that of the caller's own process."""
-    if multiprocessing.parent_process() is None:
-        return
-    # A CUDA driver reserves far more address space than it uses, and nothing here runs on it.
-    os.environ.setdefault("CUDA_VISIBLE_DEVICES", "")
-    try:
-        import resource
-    except ImportError:  # Windows: only the time limit holds
-        return
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    wanted = int(gib * 2**30)
-    if hard != resource.RLIM_INFINITY:
-        wanted = min(wanted, hard)
-    resource.setrlimit(resource.RLIMIT_AS, (wanted, hard))

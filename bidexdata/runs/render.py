@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 Only = Literal["success", "failure"]
 
 DEFAULT_COUNT = 12
+HAND_COLOUR_NAMES = {"left": "blue", "right": "green"}
 WIDTH, HEIGHT = 280, 240
 """Pixels of one view."""
 VIDEO_MOMENTS = (
@@ -112,7 +113,6 @@ def render(
     check_device(device)
     source, out = open_browsable(path), Path(out)
     _check(out, source, only=only, count=count, video=video)
-    title = _title(source, only)
     from bidexdata.pictures.picture import drawn_by
     from bidexdata.pictures.sheet import FRAME_MS, contact_sheet, save_animation, save_picture
     from bidexdata.pictures.video import save_video
@@ -121,11 +121,13 @@ def render(
     if source.kind == "library":
         ids = _shuffled(source.object_ids, seed)[:count]
         frames = [_object_tiles(source, sorted(ids), device, quiet)]
-        shown = tuple(sorted(ids))
+        shown, chosen = tuple(sorted(ids)), []
     else:
         chosen = choose_grasps(source, count, only=only, seed=seed)
         shown = tuple(str(s.batch["grasp_id"][s.row]) for s in chosen)
         frames = _grasp_frames(source, chosen, views, device, video=video, quiet=quiet)
+    sides = chosen[0].batch.header.hands if chosen else ()
+    title = _title(source, only, [h.side for h in sides])
     if not shown:
         raise NotUsable(f"{path}: nothing to draw{f' with --only {only}' if only else ''}")
     sheets = [contact_sheet(tiles, title=title, footer=footer) for tiles in frames]
@@ -272,9 +274,10 @@ def _check(out: Path, source: Browsable, *, only: Only | None, count: int, video
         )
 
 
-def _title(source: Browsable, only: Only | None) -> str:
+def _title(source: Browsable, only: Only | None, sides: Sequence[str]) -> str:
     what = {"success": "grasps that passed", "failure": "grasps that failed", None: "grasps"}[only]
     if source.kind == "library":
         return f"{source.path.name}: objects, repaired mesh beside convex pieces"
     test = f" (test {source.test} of {source.protocol})" if source.test else " (not validated)"
-    return f"{source.path.name}: {what}{test}; left hand blue, right hand green"
+    colours = ", ".join(f"{side} hand {HAND_COLOUR_NAMES[side]}" for side in sides)
+    return f"{source.path.name}: {what}{test}; {colours}"

@@ -11,6 +11,7 @@ import numpy as np
 
 from bidexdata.errors import BadConfig, NotUsable
 from bidexdata.record import GraspBatch, Status
+from bidexdata.record.batch import in_metres
 from bidexdata.runs.run import Run
 
 if TYPE_CHECKING:
@@ -166,7 +167,7 @@ def _draw(
     from bidexdata.pictures.video import save_video
     from bidexdata.simulation.assembly import TABLE_GEOM
 
-    size = float(batch["size_mm"][0]) / 1000
+    size = in_metres(batch["size"][0])
     table = TABLE_GEOM in {scene.model.geom(i).name for i in range(scene.model.ngeom)}
     ends = [moments[0].pose, moments[len(moments) // 2].pose, moments[-1].pose]
     camera = simulation_camera(ends, solid, size, scene.hands, table=table)

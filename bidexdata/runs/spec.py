@@ -158,3 +158,13 @@ def read_spec(folder: Path) -> RunSpec:
 def relative_to_run(path: Path, folder: Path) -> str:
     """Path as run.json stores it, so that library and run can move together."""
     return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+
+
+def portable_hand(hand: str, folder: Path) -> str:
+    """What `--hand` was, with paths of specs relative to the run."""
+    names = [n.strip() for n in hand.split(",")]
+    is_file = [n.endswith((".yaml", ".yml")) for n in names]
+    return ",".join(
+        relative_to_run(Path(n), folder) if file else n
+        for n, file in zip(names, is_file, strict=True)
+    )

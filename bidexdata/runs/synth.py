@@ -31,7 +31,14 @@ from bidexdata.runs.plan import (
 )
 from bidexdata.runs.run import PLAN_FILE, Run, open_unchanged, refuse_foreign
 from bidexdata.runs.shards import done_tasks, shard_path, sweep, write_shard
-from bidexdata.runs.spec import RunSpec, grown, read_spec, relative_to_run, write_spec
+from bidexdata.runs.spec import (
+    RunSpec,
+    grown,
+    portable_hand,
+    read_spec,
+    relative_to_run,
+    write_spec,
+)
 from bidexdata.runs.stage import Execution, StageReport, TaskSummary, run_stage
 
 if TYPE_CHECKING:
@@ -144,7 +151,7 @@ def _wanted(library: Library, out: Path, request: SynthRequest, old: RunSpec | N
     return RunSpec(
         preset=request.preset,
         config=to_plain(request.config),
-        hand=_portable_hand(request.hand, out),
+        hand=portable_hand(request.hand, out),
         hands=tuple(h.header() for h in hands),
         sizes_mm=tuple(sorted(set(request.sizes_mm))),
         setting=request.setting,
@@ -172,14 +179,6 @@ def _without_scene(library: Library, request: SynthRequest) -> tuple[str, ...]:
 def _poses_of(library: Library) -> dict[str, int]:
     """Number of rest poses of each object."""
     return {i: library.row(i)["rest_poses"] or 0 for i in library.object_ids}
-
-
-def _portable_hand(hand: str, out: Path) -> str:
-    names = [n.strip() for n in hand.split(",")]
-    is_file = [n.endswith((".yaml", ".yml")) for n in names]
-    return ",".join(
-        relative_to_run(Path(n), out) if file else n for n, file in zip(names, is_file, strict=True)
-    )
 
 
 def _write_missing_rounds(library: Library, out: Path, spec: RunSpec, *, fresh: bool) -> None:

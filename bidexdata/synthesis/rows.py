@@ -84,6 +84,7 @@ def _identify(
     made["scene_id"] = np.full(n, scene.scene_id)
     made["object_id"] = np.full(n, scene.object_id)
     made["size_mm"] = np.full(n, scene.size_mm, np.int32)
+    made["size"] = np.full(n, scene.size, np.float32)
     made["setting"] = np.full(n, scene.setting)
     made["object_pos"] = np.tile(np.array(scene.object_pos, np.float32), (n, 1))
     quat = quat_canonical(np.array(scene.object_quat_wxyz))

@@ -11,7 +11,7 @@ from bidexdata.errors import NotUsable
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import Solid
 from bidexdata.record import GraspBatch, Status
-from bidexdata.record.batch import empty_columns
+from bidexdata.record.batch import empty_columns, in_metres
 from bidexdata.record.fields import columns_written_by
 from bidexdata.simulation.engine_log import engine_warnings_logged
 from bidexdata.simulation.scene import SceneNotBuilt, SimScene, build_scene
@@ -73,12 +73,10 @@ def validate_grasps(
     statuses = statuses_before(batch, hands)
     columns["verdict_status"][:] = statuses
     runnable = statuses == Status.OK
-    for size_mm in np.unique(batch.size_mm[runnable]):
-        rows = np.flatnonzero(runnable & (batch.size_mm == size_mm))
+    for size in np.unique(batch.size[runnable]):
+        rows = np.flatnonzero(runnable & (batch.size == size))
         try:
-            scene = scene_of_rows(
-                batch.select(batch.size_mm == size_mm), solid, hands, protocol, test
-            )
+            scene = scene_of_rows(batch.select(batch.size == size), solid, hands, protocol, test)
         except SceneNotBuilt:
             columns["verdict_status"][rows] = Status.NO_SCENE
             continue
@@ -99,7 +97,7 @@ def scene_of_rows(
     Raises:
         SceneNotBuilt: MuJoCo refuses the scene.
     """
-    size = float(batch.size_mm[0]) / 1000
+    size = in_metres(batch.size[0])
     return build_scene(hands, solid, size, protocol.scene, table=test in WITH_TABLE)
 
 
@@ -156,6 +154,7 @@ def statuses_before(batch: GraspBatch, hands: Sequence[Hand]) -> NDArray[np.int8
         own = batch.joints[:, i, :, : len(hand.joint_names)]
         good &= (np.abs(own) < LARGEST_JOINT).all(axis=(1, 2))  # False for NaN
     statuses[~good] = Status.BAD_POSE
+    statuses[~np.isfinite(batch.size)] = Status.NO_SCENE
     if "synth_status" in batch:
         statuses[batch.synth_status != Status.OK] = Status.NOT_RUN
     return statuses

@@ -257,7 +257,7 @@ class Page:
             self.nodes.show_object(self.solid, LIBRARY_SIZE, (0, 0, 0), (1, 0, 0, 0), surface)
             self.nodes.show_ground(None)
             return
-        size = float(batch["size_mm"][row]) / 1000
+        size = float(batch["size"][row])
         pos, quat = batch["object_pos"][row], batch["object_quat_wxyz"][row]
         self.nodes.show_object(self.solid, size, pos, quat, surface)
         self.nodes.show_ground(size if str(batch["setting"][row]) == "tabletop" else None)
@@ -268,7 +268,7 @@ class Page:
             centre, size, hands = np.zeros(3), LIBRARY_SIZE, []
         else:
             centre = np.asarray(batch["object_pos"][row], np.float64)
-            size = float(batch["size_mm"][row]) / 1000
+            size = float(batch["size"][row])
             hands = list(np.asarray(batch["hand_pos"][row, :, 1], np.float64))
         # A person who turned the view keeps it until another object or size comes.
         if self._aimed_at == (self.solid.object_id, size):
@@ -276,7 +276,8 @@ class Page:
         self._aimed_at = (self.solid.object_id, size)
         # The hands reach about 0.2 m beyond the object on both sides.
         away = 0.5 * (size + (0.45 if hands else 0.1)) / np.tan(0.5 * FIELD_OF_VIEW)
-        self._aim(centre + away * side_direction(hands), centre)
+        seen = [centre, *hands] if len(hands) == 1 else hands
+        self._aim(centre + away * side_direction(seen), centre)
 
 
 def _direction(label: str) -> int:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from made_release import OBJECTS, PER_SCENE, SIZES, made_release, made_rows
+from made_release import OBJECTS, PER_SCENE, SIZES, as_schema_1_0, made_release, made_rows
 
 from bidexdata.errors import Contradiction, NotUsable, PathNotFound
 from bidexdata.formats import parquet
@@ -33,6 +33,21 @@ def test_a_good_release_keeps_every_law(packed):
     assert "contacts" in names
     assert report.to_dict()["ok"] is True
     assert [c.name for c in verify_release(packed).checks] == names[: names.index("shapes")]
+
+
+def test_a_release_of_schema_1_0_has_no_size_and_keeps_every_law(copied):
+    as_schema_1_0(copied)
+    report = verify_release(copied, full=True)
+    assert report.ok, failed(report)
+    rows = Release.open(copied).grasps()
+    np.testing.assert_array_equal(rows.columns["size"], (rows.size_mm / 1000).astype(np.float32))
+
+
+def test_a_release_of_this_schema_must_have_its_size(copied):
+    path = copied / "grasps" / "train-00000.parquet"
+    parquet.write_table(path, parquet.read_table(path).drop_columns(["size"]))
+    reseal(copied)
+    assert "column size is missing" in failed(verify_release(copied))["tables"]
 
 
 def test_a_flipped_bit_is_found_in_every_file(copied):
@@ -136,6 +151,8 @@ def swap_rows(columns):
         ("grasps", put("joints", 0, np.nan, 0), "rows", "joints are not finite"),
         ("grasps", put("joints", 0, 0.0, 17), "rows", "past the hand's own"),
         ("grasps", put("size_mm", 0, -5), "rows", "not positive"),
+        ("grasps", put("size", 0, 0.3006), "rows", "size does not round to size_mm"),
+        ("grasps", put("size", 0, np.nan), "rows", "size does not round to size_mm"),
         ("grasps", put("selected", 2, False), "rows", "is not selected"),
         ("grasps", put("object_id", 0, "stranger-dddddddd"), "splits", "holds rows of"),
         ("grasps", put("joints", 0, 3.0, 3), "joint limits", "outside the limits"),

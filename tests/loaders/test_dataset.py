@@ -4,7 +4,7 @@ import pickle
 import numpy as np
 import pytest
 import torch
-from made_release import OBJECTS, PER_SCENE, SIZES, made_release
+from made_release import OBJECTS, PER_SCENE, SIZES, as_schema_1_0, made_release
 from torch.utils.data import DataLoader
 
 from bidexdata import frames
@@ -58,6 +58,7 @@ def test_shapes_and_names_describe_an_item(floating):
         "hand_quat_wxyz",
         "joints",
         "size_mm",
+        "size",
         "object_index",
         "cloud_solid",
     }
@@ -77,6 +78,26 @@ def test_clouds_have_the_size_of_the_scene(floating):
         unit = release.cloud("cloud_solid", object_id)
         expected = unit * np.float32(whole["size_mm"][i].item() / 1000)
         np.testing.assert_array_equal(whole["cloud_solid"][i].numpy(), expected)
+
+
+def test_sizes_between_millimetres_scale_the_clouds(tmp_path):
+    release = made_release(tmp_path / "r", OBJECTS[:1], sizes=(300,), exact=(0.29973,))
+    data = BiDexDataset(release, points=16)
+    unit = Release.open(release).cloud("cloud_solid", OBJECTS[0])[:16]
+    assert data[0]["size"] == np.float32(0.29973)
+    np.testing.assert_array_equal(data[0]["cloud_solid"].numpy(), unit * np.float32(0.29973))
+
+
+def test_a_release_of_schema_1_0_loads_with_the_sizes_its_millimetres_say(tmp_path):
+    new = BiDexDataset(made_release(tmp_path / "r"), points=16)
+    expected = new.__getitems__(range(len(new))).stacked
+    old = made_release(tmp_path / "old")
+    as_schema_1_0(old)
+    data = BiDexDataset(old, points=16)
+    found = data.__getitems__(range(len(data))).stacked
+    assert set(found) == set(expected)
+    assert torch.equal(found["size"], expected["size"])
+    assert torch.equal(found["cloud_solid"], expected["cloud_solid"])
 
 
 def test_both_frames_describe_the_same_scene(tabletop):

@@ -64,16 +64,18 @@ def grasps(hands: tuple[Hand, ...], solid: Solid, n: int = 6) -> GraspBatch:
     c["grasp_id"] = np.array([f"{i:015x}{solid.object_id[3]}" for i in numbers])
     c["object_id"] = np.array([solid.object_id] * n)
     c["size_mm"][:] = np.where(numbers % 2, 500, 300)
+    c["size"][:] = c["size_mm"] / 1000
     c["scene_id"] = np.array([f"{solid.object_id}/{s}/float" for s in c["size_mm"]])
     c["setting"] = np.array(["floating"] * n)
     c["object_pos"][:] = 0
     c["object_quat_wxyz"][:] = [1, 0, 0, 0]
-    c["sides"][:] = [0, 1]
+    sides = [("left", "right").index(hand.side) for hand in hands]
+    c["sides"][:] = sides
     c["attempt"][:] = numbers
     for i in numbers[:-1]:
         half = solid.mesh.vertices.max(axis=0) * c["size_mm"][i] / 1000
         for h, hand in enumerate(hands):
-            out = np.array([2 * h - 1.0, 0, 0])
+            out = np.array([2 * sides[h] - 1.0, 0, 0])
             up = np.array([0, 0, 1.0])
             for stage, gap in enumerate((0.09, 0.05, 0.04)):
                 T_world_palm = np.eye(4)

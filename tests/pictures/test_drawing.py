@@ -60,6 +60,16 @@ def test_an_object_is_drawn_at_its_size_and_pose(solid):
     assert parts[0].colour != parts[1].colour
 
 
+def test_a_grasp_shows_its_object_at_the_exact_size(batch, solid, hands):
+    between = dataclasses.replace(
+        batch, columns=batch.columns | {"size": batch.size * np.float32(1.001)}
+    )
+    for rows in (batch, between):
+        drawn = next(p for p in grasp_parts(rows, 0, solid, hands) if p.label == "object")
+        diagonal = np.linalg.norm(np.ptp(drawn.vertices, axis=0))
+        assert diagonal == pytest.approx(float(rows.size[0]), rel=1e-5)
+
+
 def test_contacts_are_marked_where_the_record_has_them(batch):
     parts = contact_parts(batch, 0)
     points = batch["contact_point"][0].reshape(-1, 3)
@@ -129,6 +139,24 @@ def test_both_hands_are_seen_on_opposite_sides(batch, solid, hands):
     assert green.sum() > 100
     left, right = np.nonzero(blue)[1].mean(), np.nonzero(green)[1].mean()
     assert abs(left - right) > 40
+
+
+def test_one_hand_and_its_object_are_both_seen_on_opposite_sides(solid, hands):
+    batch = grasps(hands[1:], solid)
+    for row in range(len(batch) - 1):
+        parts = grasp_parts(batch, row, solid, hands[1:])
+        assert {p.label for p in parts} >= {"object", "right"}
+        hand, whole = (next(p for p in parts if p.label == x) for x in ("right", "object"))
+        across = hand.vertices.mean(axis=0) - whole.vertices.mean(axis=0)
+        (direction,) = choose_views(parts, RayScene(parts), 1)
+        assert abs(direction @ across) / np.linalg.norm(across) < 0.5
+        pixels = draw_grasp(batch, row, solid, hands[1:], width=120, height=90, contacts=False)
+        r, g, b = (pixels[..., k].astype(int) for k in range(3))
+        green, sand = (g > r + 30) & (g > b + 15), (r > g + 10) & (g > b + 25)
+        assert green.sum() > 300
+        assert sand.sum() > 300
+    frames = draw_stages(batch, 0, solid, hands[1:], ("pregrasp", "squeeze"), width=60, height=48)
+    assert (frames[0] != frames[1]).any()
 
 
 def test_the_side_direction_is_across_the_hands_and_always_defined():

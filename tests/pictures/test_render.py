@@ -52,6 +52,15 @@ def test_another_seed_chooses_other_grasps(source):
     assert keys(choose_grasps(source, 4)) != keys(choose_grasps(source, 4, seed=1))
 
 
+def test_one_handed_grasps_get_a_sheet_that_names_their_hand(hands, monkeypatch, tmp_path: Path):
+    made = Made(hands[1:], 3)
+    monkeypatch.setattr(render_module, "open_browsable", lambda path: made)
+    report = render("run", tmp_path / "a.png", count=2, quiet=True)
+    assert len(report.shown) == 2
+    assert render_module._title(made, None, ["right"]).endswith("right hand green")
+    assert Image.open(tmp_path / "a.png").size[0] > 2 * render_module.WIDTH
+
+
 def test_a_sheet_is_written_and_the_same_twice(opened, tmp_path: Path):
     first = render("run", tmp_path / "a.png", count=2, quiet=True)
     second = render("run", tmp_path / "deeper" / "b.png", count=2, quiet=True)

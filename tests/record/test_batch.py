@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -7,7 +9,13 @@ from hypothesis.extra import numpy as hnp
 
 from bidexdata.errors import Contradiction
 from bidexdata.record import FIELDS, GraspBatch, HandHeader, Header, Status
-from bidexdata.record.batch import BadRecord, empty_columns, fill_value
+from bidexdata.record.batch import (
+    SCHEMA_VERSION,
+    BadRecord,
+    empty_columns,
+    fill_value,
+    in_metres,
+)
 from bidexdata.record.fields import SIDES, STAGES, columns_of_table, columns_written_by
 
 # numpy drops trailing NULs of strings; no identity of ours holds one.
@@ -172,10 +180,11 @@ def test_damaged_headers_are_contradictions(text):
 
 
 def test_a_newer_major_schema_names_the_upgrade_and_a_newer_minor_reads():
-    newer = HEADER.to_json().replace('"schema_version":"1.0"', '"schema_version":"2.0"')
+    ours = f'"schema_version":"{SCHEMA_VERSION}"'
+    newer = HEADER.to_json().replace(ours, '"schema_version":"2.0"')
     with pytest.raises(Contradiction, match="upgrade bidexdata"):
         Header.from_json(newer)
-    minor = HEADER.to_json().replace('"schema_version":"1.0"', '"schema_version":"1.7"')
+    minor = HEADER.to_json().replace(ours, '"schema_version":"1.7"')
     assert Header.from_json(minor).hands == HEADER.hands
 
 
@@ -200,3 +209,24 @@ def test_the_field_table_is_sane():
         n for n in FIELDS if n.startswith(("contact_i", "contact_p", "contact_f", "force_s"))
     } | {"contact_normal"}
     assert Status.OK == 0
+
+
+def test_rows_of_schema_1_0_get_the_size_that_their_millimetres_say():
+    mm = np.array([300, 1], np.int32)
+    old = GraspBatch(replace(HEADER, schema_version="1.0"), {"size_mm": mm})
+    read = GraspBatch.from_arrow(old.to_arrow())
+    assert read.columns["size"].tolist() == np.float32([0.3, 0.001]).tolist()
+    assert read.columns["size"].dtype == np.float32
+    # Newer rows are what they are, and a batch in memory falls back when it is asked.
+    new = GraspBatch.from_arrow(GraspBatch(HEADER, {"size_mm": mm}).to_arrow())
+    assert "size" not in new
+    assert new.size.tolist() == new["size"].tolist() == read.size.tolist()
+    with pytest.raises(KeyError, match="no column 'size'"):
+        small()["size"]
+
+
+def test_whole_millimetres_come_back_exactly_from_float32():
+    for mm in range(1, 3000):
+        assert in_metres(np.float32(mm / 1000)) == mm / 1000
+    for size in np.random.default_rng(0).random(100).astype(np.float32):
+        assert np.float32(in_metres(size)) == size

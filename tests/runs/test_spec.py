@@ -10,6 +10,7 @@ import pytest
 
 from bidexdata.errors import ConfigConflict, Contradiction, PathNotFound
 from bidexdata.record import HandHeader
+from bidexdata.record.batch import SCHEMA_VERSION
 from bidexdata.runs.plan import Round
 from bidexdata.runs.spec import RunSpec, grown, read_spec, write_spec
 
@@ -54,7 +55,9 @@ def test_keys_of_a_newer_minor_version_are_ignored(tmp_path: Path):
         lambda text: text[:-20],
         lambda text: text.replace('"seed": 0', '"seed": 1'),
         lambda text: text.replace('"seed": 0', '"seed": "x"'),
-        lambda text: text.replace('"schema_version": "1.0"', '"schema_version": "2.0"'),
+        lambda text: text.replace(
+            f'"schema_version": "{SCHEMA_VERSION}"', '"schema_version": "2.0"'
+        ),
         lambda text: "[]",
     ],
 )

@@ -50,6 +50,10 @@ def test_all_columns_of_the_stage_are_written(batch):
     assert set(batch.columns) == set(columns_written_by("synth"))
 
 
+def test_sizes_are_those_of_the_scenes_in_metres(batch):
+    assert batch.columns["size"].tolist() == (batch["size_mm"] / 1000).astype(np.float32).tolist()
+
+
 def test_every_scene_has_its_audit_and_at_most_n_selected(batch, scenes):
     for scene in scenes:
         own = batch["scene_id"] == scene.scene_id

@@ -135,6 +135,15 @@ def test_twice_the_same_bits_and_sizes_do_not_mix(hands, squeezed):
     assert out["pd"][0] > out["pd"][1]
 
 
+def test_the_size_in_metres_decides_and_whole_millimetres_are_exact(hands, squeezed):
+    rows = [squeeze(hands)] * 3
+    size = np.array([0.31, 0.3, np.nan], np.float32)
+    out = verdicts(hands, rows, size_mm=[300, 310, 300], size=size)
+    same_columns({k: v[1:2] for k, v in out.items()}, squeezed)
+    assert out["pd"][0] > out["pd"][1] + 0.001
+    assert out["verdict_status"][2] == Status.NO_SCENE
+
+
 def test_which_hand_comes_first_changes_no_verdict(hands, squeezed):
     pos, quat, joints = squeeze(hands)
     swapped = verdicts(hands[::-1], [(pos[::-1], quat[::-1], joints[::-1])])

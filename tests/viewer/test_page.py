@@ -70,6 +70,24 @@ def test_the_first_page_shows_the_first_grasp_with_its_words(page, source):
     assert page.size.options == (ALL_SIZES, "300 mm", "500 mm")
 
 
+def test_one_handed_grasps_are_shown_beside_their_object(server, hands):
+    server.gui.reset()
+    server.scene.reset()
+    aimed = []
+    source = Made(hands[1:])
+    page = Page(server.gui, server.scene, Catalog(source), lambda *at: aimed.append(at))
+    batch = source.batches["box0-00000000"]
+    assert page.row == 0
+    assert len(page.nodes.hands) == 1
+    position, target = aimed[-1]
+    hand = batch["hand_pos"][0, 0, 1] - target
+    view = position - target
+    assert abs(view @ hand) < 0.01 * np.linalg.norm(view) * np.linalg.norm(hand)
+    page.step_grasp(1)
+    assert page.row == 2  # the next of the same size
+    assert "1.23 mm" in page.scores.content
+
+
 def test_the_stage_slider_hits_the_stored_stages_exactly(page, source):
     batch = source.batches["box0-00000000"]
     for moment, stage in ((0.0, 0), (1.0, 1), (2.0, 2)):

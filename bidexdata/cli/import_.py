@@ -1,0 +1,102 @@
+"""`bidexdata import`: grasps of another project become a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+import typer
+
+from bidexdata.cli import options
+from bidexdata.cli.report import command, counts_text, finish, warn_of_failed
+
+_SHOWN = 10
+"""Failed files that are printed; all are in the run's files.parquet and in --json."""
+
+
+def import_(
+    format: Annotated[str, typer.Argument(metavar="FORMAT", help="dexgraspbench.")],
+    path: Annotated[Path, typer.Argument(metavar="PATH", help="The other project's folder.")],
+    out: Annotated[Path, typer.Option(metavar="RUN", help="Folder of the run.")],
+    hand: Annotated[
+        str, typer.Option(help="The hand that the grasps are of; `hands` lists them.")
+    ] = "shadow",
+    setting: Annotated[
+        str, typer.Option(help="What the scenes are: floating or tabletop.")
+    ] = "floating",
+    objects: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Folder of the objects, where they are not at their own paths."
+        ),
+    ] = None,
+    limit: Annotated[
+        int | None, typer.Option(min=1, help="Only the first N files in byte order of the path.")
+    ] = None,
+    workers: options.Workers = 0,
+    executor: options.ExecutorName = "processes",
+    as_json: options.Json = False,
+    quiet: options.Quiet = False,
+    debug: options.Debug = False,
+) -> None:
+    """Import grasps of another project, with their objects, as a run.
+
+    A file that cannot be used is counted with its reason; files.parquet in the run lists all. The
+    same command goes on after a stop.
+
+    --json keys: run, fingerprint, files, files_failed, n, left_out, objects, objects_failed,
+    tasks, tasks_before, tasks_failed, failures (file, reason), seconds.
+    """
+    from bidexdata.errors import NothingSucceeded, NotUsable
+    from bidexdata.record import Status
+    from bidexdata.runs.import_ import ImportRequest, import_run
+
+    if setting not in ("floating", "tabletop"):
+        raise NotUsable(f"--setting {setting!r}: the settings are floating and tabletop")
+    request = ImportRequest(
+        format=format,
+        path=path,
+        hand=hand,
+        setting=cast("Any", setting),
+        objects=objects,
+        limit=limit,
+    )
+    execution = options.execution_of(executor, workers, None, quiet)
+    report = import_run(request, out, execution=execution)
+    failed, stage = report.failed, report.stage
+    made = sum(r["status"] == Status.OK for r in report.objects)
+    done = stage.before + stage.finished
+    data: dict[str, Any] = {
+        "run": str(out),
+        "fingerprint": report.fingerprint,
+        "files": len(report.files),
+        "files_failed": len(failed),
+        "n": report.rows,
+        "left_out": report.left_out,
+        "objects": made,
+        "objects_failed": len(report.objects) - made,
+        "tasks": stage.tasks,
+        "tasks_before": stage.before,
+        "tasks_failed": len(stage.failures),
+        "failures": [{"file": f.file, "reason": f.reason} for f in report.files if f.reason],
+        "seconds": round(report.seconds, 3),
+    }
+    warn_of_failed(stage, out)
+    told = [f for f in report.files if f.reason]
+    lines = [f"{f.file}: {f.reason}" for f in told[:_SHOWN]]
+    if len(told) > _SHOWN:
+        lines.append(f"... and {len(told) - _SHOWN} more files; --json and {out}/files.parquet")
+    statuses = counts_text({"read": len(report.files) - len(failed), "failed": len(failed)})
+    lines.append(
+        f"{report.rows} grasps of {made} objects from {len(report.files)} files ({statuses}) in "
+        f"{report.seconds:.1f} s"
+    )
+    finish(
+        data,
+        lines,
+        following=command("validate", out) if done else "",
+        as_json=as_json,
+        quiet=quiet,
+    )
+    if not done:
+        raise NothingSucceeded(f"not one grasp of {path} could be imported; see the reasons")

@@ -1,0 +1,116 @@
+"""`bidexdata import` and `table`: exit codes, keys, and that other commands take what they make."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from made_dexgraspbench import made_dexgraspbench
+
+from bidexdata.cli.main import COMMANDS, run
+from bidexdata.objects.config import PrepareConfig, SdfConfig, SurfaceConfig
+from bidexdata.runs import import_objects
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    small = PrepareConfig(surface=SurfaceConfig(points=100), sdf=SdfConfig(cells=12))
+    monkeypatch.setattr(import_objects, "PrepareConfig", lambda: small)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory) -> Path:
+    return made_dexgraspbench(tmp_path_factory.mktemp("bench"))
+
+
+def importing(bench: Path, out: Path, *more: str) -> list[str]:
+    named = ["import", "dexgraspbench", str(bench), "--out", str(out), "--hand", "capsule"]
+    return [*named, "--executor", "inline", *more]
+
+
+def documented(name: str) -> set[str]:
+    return set(re.findall(r"\w+", COMMANDS[name].__doc__ or ""))
+
+
+def test_an_import_reports_its_files_and_the_next_command(bench, tmp_path, capsys):
+    out = tmp_path / "run"
+    (bench / "graspdata" / "bad.npy").write_bytes(b"nothing")
+    assert run(importing(bench, out, "--json", "--quiet")) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert (data["files"], data["files_failed"], data["n"], data["objects"]) == (9, 1, 8, 2)
+    assert data["failures"][0]["file"] == "graspdata/bad.npy"
+    assert data["next"] == f"bidexdata validate {out}"
+    assert set(data) - {"next"} <= documented("import")
+    assert run(importing(bench, out)) == 0
+    text = capsys.readouterr().out
+    assert "graspdata/bad.npy: it is no .npy file" in text
+    assert "8 grasps of 2 objects from 9 files (8 read, 1 failed)" in text
+    assert run(["info", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert "imported from 8 files; 1 files and 0 grasps could not be used" in text
+    assert "kept" not in text
+    assert "attempts" not in text
+
+
+def test_its_run_can_be_drawn_tabled_and_refuses_another_setting(bench, tmp_path, capsys):
+    out = tmp_path / "run"
+    assert run(importing(bench, out, "--limit", "2", "--quiet")) == 0
+    sheet = ["render", str(out), "--out", str(tmp_path / "s.png"), "--count", "2", "--quiet"]
+    assert run(sheet) == 0
+    assert (tmp_path / "s.png").stat().st_size > 10_000
+    assert run(importing(bench, out, "--limit", "2", "--setting", "tabletop")) == 5
+    assert "setting: 'floating' -> 'tabletop'" in capsys.readouterr().err
+    for path, kind in ((out, "run"), (out / "library", "library")):
+        table = tmp_path / f"{kind}.csv"
+        assert run(["table", str(path), "--out", str(table), "--json", "--quiet"]) == 0
+        data = json.loads(capsys.readouterr().out)
+        lines = table.read_text().splitlines()
+        assert data["kind"] == kind
+        assert data["n"] == len(lines) - 1
+        assert len(data["columns"]) == len(lines[0].split(","))
+        assert set(data) <= documented("table")
+    assert run(["table", str(out), "--out", str(tmp_path / "t.csv"), "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_nothing_imported_gives_6_with_the_reasons(bench, tmp_path, capsys):
+    objects = tmp_path / "none"
+    objects.mkdir()
+    moved = tmp_path / "bench"
+    (moved / "graspdata").mkdir(parents=True)
+    for file in bench.rglob("0.npy"):
+        (moved / "graspdata" / f"{file.parent.name}.npy").write_bytes(file.read_bytes())
+    more = ("--objects", str(objects))
+    assert run(importing(moved, tmp_path / "run", *more)) == 6
+    out, err = capsys.readouterr()
+    assert "has no urdf/meshes" in out
+    assert err.splitlines()[-1].startswith("error: not one grasp of")
+    assert not (tmp_path / "run").exists()
+    assert run(importing(moved, tmp_path / "run", "--objects", str(bench / "objects"))) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "says"),
+    [
+        (["import", "dexgraspbench", "{tmp}/no", "--out", "{tmp}/r"], 3, "no such file or folder"),
+        (["import", "graspnet", "{tmp}", "--out", "{tmp}/r"], 3, "known: dexgraspbench"),
+        (["import", "dexgraspbench", "{tmp}", "--out", "{tmp}/r"], 3, "holds no file"),
+        (
+            ["import", "dexgraspbench", "{tmp}", "--out", "{tmp}/r", "--setting", "water"],
+            3,
+            "floating and tabletop",
+        ),
+        (["import", "dexgraspbench"], 2, "PATH"),
+        (["table", "{tmp}/no", "--out", "{tmp}/t.csv"], 3, "no such file or folder"),
+        (["table", "{tmp}", "--out", "{tmp}/t.xls"], 3, ".parquet"),
+        (["table", "{tmp}"], 2, "--out"),
+    ],
+)
+def test_what_cannot_be_done_is_one_sentence(arguments, code, says, tmp_path, capsys):
+    assert run([a.format(tmp=tmp_path) for a in arguments]) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert says in err
+    assert len(err.strip().splitlines()) == 1

@@ -1,0 +1,337 @@
+"""Laws of an import: a bad file is counted and no more, the same files give the same bytes."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_dexgraspbench import NOMINAL, OBJECTS, PER_SCENE, SCALES, made_dexgraspbench, save
+
+from bidexdata.errors import ConfigConflict, NotUsable, PathNotFound, UnknownName
+from bidexdata.formats.release import Release
+from bidexdata.formats.verify import verify_release
+from bidexdata.objects.library import Library
+from bidexdata.runs import import_objects, import_scan
+from bidexdata.runs.browse import open_browsable
+from bidexdata.runs.import_ import ImportRequest, import_run
+from bidexdata.runs.import_scan import read_files
+from bidexdata.runs.info import describe
+from bidexdata.runs.pack import pack_runs
+from bidexdata.runs.retest import start_retest
+from bidexdata.runs.run import Run
+from bidexdata.runs.stage import Execution
+
+HERE = Execution(executor="inline", quiet=True)
+N = len(OBJECTS) * len(SCALES) * PER_SCENE
+
+
+def request(path: Path, **changes) -> ImportRequest:
+    return replace(ImportRequest(format="dexgraspbench", path=path, hand="capsule"), **changes)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def coarse():
+    """Objects are made with few points and cells: these tests are about what surrounds them."""
+    from bidexdata.objects.config import PrepareConfig, SdfConfig, SurfaceConfig
+
+    small = PrepareConfig(surface=SurfaceConfig(points=100), sdf=SdfConfig(cells=12))
+    patch = pytest.MonkeyPatch()
+    patch.setattr(import_objects, "PrepareConfig", lambda: small)
+    yield
+    patch.undo()
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory) -> Path:
+    return made_dexgraspbench(tmp_path_factory.mktemp("bench"))
+
+
+@pytest.fixture(scope="module")
+def imported(bench, tmp_path_factory) -> Path:
+    """An imported run; read only."""
+    out = tmp_path_factory.mktemp("import") / "run"
+    import_run(request(bench), out, execution=HERE)
+    return out
+
+
+@pytest.fixture
+def copied(bench, tmp_path) -> Path:
+    return Path(shutil.copytree(bench, tmp_path / "bench"))
+
+
+def contents(root: Path) -> dict[str, bytes]:
+    files = (p for p in root.rglob("*") if p.is_file() and "logs" not in p.parts)
+    return {p.relative_to(root).as_posix(): p.read_bytes() for p in files}
+
+
+def test_a_run_with_its_own_library_comes_out(bench, imported):
+    run = Run.open(imported)
+    assert run.spec.kind == "import"
+    assert len(run.tasks) == len(OBJECTS)
+    batches = list(run.batches())
+    assert sum(map(len, batches)) == N
+    assert len(set(np.concatenate([b["grasp_id"] for b in batches]).tolist())) == N
+    refs = [r for b in batches for r in b["source_ref"].tolist()]
+    assert sorted(refs) == sorted(f"{p.relative_to(bench)}" for p in bench.rglob("*.npy"))
+    library = Library.open(imported / "library")
+    assert set(library.object_ids) == set(run.object_ids)
+    assert library.path.resolve() == run.library.path.resolve()
+    for task, batch in zip(run.tasks, batches, strict=True):
+        obj = library.load(task.object_id)
+        unit = obj.provenance["unit_in_file"]
+        assert obj.nominal_volume == pytest.approx(NOMINAL / unit**3)
+        expected = np.repeat(np.float32(np.array(SCALES) * unit), PER_SCENE)
+        np.testing.assert_array_equal(np.sort(batch["size"]), expected)
+        assert set(batch["scene_id"].tolist()) == set(task.scene_ids)
+        assert set(batch["size_mm"].tolist()) <= set(run.spec.sizes_mm)
+
+
+def test_the_same_files_give_the_same_bytes_wherever_they_lie(bench, imported, tmp_path):
+    moved = shutil.copytree(bench, tmp_path / "elsewhere")
+    import_run(request(moved), tmp_path / "again", execution=HERE)
+    assert contents(tmp_path / "again") == contents(imported)
+
+
+def test_worker_processes_give_the_same_bytes(bench, tmp_path, monkeypatch):
+    from bidexdata.objects.config import PrepareConfig
+
+    # Workers are fresh processes, which know nothing of the coarse configuration.
+    monkeypatch.setattr(import_objects, "PrepareConfig", PrepareConfig)
+    import_run(request(bench, limit=1), tmp_path / "here", execution=HERE)
+    workers = Execution(workers=1, quiet=True)
+    import_run(request(bench, limit=1), tmp_path / "there", execution=workers)
+    assert contents(tmp_path / "there") == contents(tmp_path / "here")
+
+
+def test_the_same_command_does_nothing_twice_and_finishes_what_was_stopped(copied, tmp_path):
+    out = tmp_path / "run"
+    first = import_run(request(copied), out, execution=HERE)
+    before = contents(out)
+    again = import_run(request(copied), out, execution=HERE)
+    assert (again.stage.before, again.stage.finished) == (2, 0)
+    assert again.fingerprint == first.fingerprint
+    # Stopped in the last pass: a shard is missing. Stopped before: no run.json, half a library.
+    shard = next((out / "import").rglob("*.arrow"))
+    shard.unlink()
+    assert import_run(request(copied), out, execution=HERE).stage.finished == 1
+    assert contents(out) == before
+    (out / "run.json").unlink()
+    (out / "library" / "index.parquet").unlink()
+    shutil.rmtree(next((out / "library" / "objects").glob("*/*")))
+    import_run(request(copied), out, execution=HERE)
+    assert contents(out) == before
+
+
+@pytest.mark.parametrize("change", ["hand", "setting", "limit", "file", "object"])
+def test_another_import_into_the_same_run_is_refused(copied, tmp_path, change):
+    out = tmp_path / "run"
+    import_run(request(copied), out, execution=HERE)
+    asked = request(copied)
+    if change == "hand":
+        (tmp_path / "capsule_links.yaml").write_text(_spec_text("capsule_links"))
+        spec = tmp_path / "other.yaml"
+        spec.write_text(_spec_text("capsule").replace("radius: 0.0078", "radius: 0.0079"))
+        asked = replace(asked, hand=str(spec))
+    elif change == "setting":
+        asked = replace(asked, setting="tabletop")
+    elif change == "limit":
+        asked = replace(asked, limit=N - 1)
+    elif change == "file":
+        name = next(copied.rglob("*.npy"))
+        content = np.load(name, allow_pickle=True).item()
+        save(name, content | {"grasp_qpos": content["squeeze_qpos"]})
+    else:
+        piece = next(copied.rglob("convex_piece_000.obj"))
+        piece.write_text(piece.read_text() + "# another\n")
+    before = contents(out)
+    with pytest.raises(ConfigConflict) as caught:
+        import_run(asked, out, execution=HERE)
+    assert caught.value.exit_code == 5
+    assert contents(out) == before
+
+
+def _spec_text(name: str) -> str:
+    from bidexdata.hands import registry
+
+    return (Path(registry.__file__).parent / "specs" / f"{name}.yaml").read_text()
+
+
+class Payload:
+    def __init__(self, mark: Path):
+        self.mark = mark
+
+    def __reduce__(self):
+        return os.system, (f"touch {self.mark}",)
+
+
+def test_every_kind_of_bad_file_is_counted_with_its_reason(copied, tmp_path):
+    folder = copied / "graspdata" / "zz"
+    content = np.load(next(copied.rglob("*.npy")), allow_pickle=True).item()
+    mark = tmp_path / "ran"
+    save(folder / "attack.npy", {**content, "extra": Payload(mark)})
+    save(folder / "noobject.npy", {**content, "obj_path": "assets/nothing"})
+    save(folder / "nan.npy", {**content, "grasp_qpos": np.full(29, np.nan)})
+    (folder / "empty.npy").write_bytes(b"")
+    os.mkfifo(folder / "pipe.npy")
+    whole = next(copied.rglob("0.npy")).read_bytes()
+    (folder / "cut.npy").write_bytes(whole[: len(whole) // 2])
+    rng = np.random.default_rng(0)
+    (folder / "noise.npy").write_bytes(rng.bytes(1000))
+    several = {k: np.stack([v, v]) if k.endswith("qpos") else v for k, v in content.items()}
+    several["squeeze_qpos"][1, 3:7] = 0
+    save(folder / "half.npy", several)
+    report = import_run(request(copied), tmp_path / "run", execution=HERE)
+    assert not mark.exists()
+    reasons = {Path(f.file).stem: f.reason for f in report.files if f.reason}
+    assert "system, which no data needs" in reasons["attack"]
+    assert "'assets/nothing' has no urdf/meshes" in reasons["noobject"]
+    assert "grasp_qpos is not finite" in reasons["nan"]
+    assert "no .npy file" in reasons["empty"]
+    assert reasons["pipe"] == "it is no plain file"
+    assert reasons["cut"].startswith("its pickle")
+    assert "no .npy file" in reasons["noise"]
+    assert "grasp 1: the quaternion of its squeeze_qpos" in reasons["half"]
+    assert len(report.failed) == 7
+    assert report.rows == N + 1
+    assert report.left_out == 2  # one of half.npy, and that of noobject.npy
+    run = Run.open(tmp_path / "run")
+    assert sum(len(b) for b in run.batches()) == N + 1
+    assert [f._replace(places=()) for f in report.files] == read_files(tmp_path / "run")
+    told = describe(tmp_path / "run")["files"]
+    assert (told["read"], told["failed"], told["left_out"]) == (N + 1, 7, 2)
+    assert {Path(f["file"]).stem for f in told["failures"]} == set(reasons)
+
+
+def test_a_bad_object_fails_its_files_and_no_other(copied, tmp_path):
+    piece = next((copied / "objects" / "brick").rglob("convex_piece_000.obj"))
+    piece.write_text("no mesh")
+    report = import_run(request(copied), tmp_path / "run", execution=HERE)
+    assert len(report.failed) == N // 2
+    assert all("its object failed" in f.reason for f in report.failed)
+    index = {
+        r["source_name"]: r for r in Library.open(tmp_path / "run" / "library").index.to_pylist()
+    }
+    assert index["brick"]["status_label"] == "no_faces"
+    assert index["Two_Boxes"]["status_label"] == "ok"
+    assert len(Run.open(tmp_path / "run").tasks) == 1
+
+
+def test_nothing_usable_leaves_no_run(copied, tmp_path):
+    for file in copied.rglob("*.npy"):
+        file.write_bytes(b"x")
+    report = import_run(request(copied), tmp_path / "run", execution=HERE)
+    assert (report.rows, report.fingerprint, len(report.failed)) == (0, "", N)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_file_that_ends_its_reader_costs_no_other(copied, tmp_path, monkeypatch):
+    # A chunk whose worker died is read again file by file.
+    victim = sorted(p.relative_to(copied).as_posix() for p in copied.rglob("*.npy"))[3]
+    read = import_scan._scan_file
+
+    def dying(form, root, name):
+        if name == victim:
+            raise MemoryError("no more")
+        return read(form, root, name)
+
+    monkeypatch.setattr(import_scan, "_scan_file", dying)
+    report = import_run(request(copied), tmp_path / "run", execution=HERE)
+    assert [f.file for f in report.failed] == [victim]
+    assert "reading it failed: MemoryError" in report.failed[0].reason
+
+
+def test_what_is_too_large_is_not_read(copied, tmp_path, monkeypatch):
+    victim = next(copied.rglob("*.npy"))
+    with open(victim, "r+b") as stream:
+        stream.truncate(2**33)  # a hole: nothing is written
+    report = import_run(request(copied), tmp_path / "run", execution=HERE)
+    assert [f.file for f in report.failed] == [victim.relative_to(copied).as_posix()]
+    assert "more than the 67108864 that are read" in report.failed[0].reason
+
+
+def test_the_first_files_in_byte_order_are_taken(bench, tmp_path):
+    report = import_run(request(bench, limit=3), tmp_path / "run", execution=HERE)
+    names = sorted(p.relative_to(bench).as_posix() for p in bench.rglob("*.npy"))
+    assert [f.file for f in report.files] == names[:3]
+
+
+def test_what_does_not_fit_is_one_sentence(bench, tmp_path):
+    for asked, error, said in (
+        (request(tmp_path / "no"), PathNotFound, "no such file or folder"),
+        (request(bench, objects=tmp_path / "no"), PathNotFound, "folder of the objects"),
+        (request(bench / "objects"), NotUsable, "holds no file that the format"),
+        (request(bench, format="graspnet"), UnknownName, "import format"),
+        (request(bench, hand="capsule,capsule"), NotUsable, "holds one hand"),
+    ):
+        with pytest.raises(error, match=said):
+            import_run(asked, tmp_path / "run", execution=HERE)
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "main.tex").touch()
+    with pytest.raises(NotUsable, match="is no run"):
+        import_run(request(bench), tmp_path / "thesis", execution=HERE)
+
+
+def test_an_imported_run_can_be_looked_into_packed_checked_and_tested_again(imported, tmp_path):
+    source = open_browsable(imported)
+    assert len(source.hands()) == 1
+    told = describe(imported)
+    assert told["grasps"] is None
+    assert told["figures"]["kept"] is None
+    assert told["figures"]["by_status"] == {}
+    report = pack_runs([imported], tmp_path / "release", name="peer", version="1.0.0", quiet=True)
+    checked = verify_release(tmp_path / "release", full=True)
+    assert checked.ok, [c for c in checked.checks if not c.ok]
+    release = Release.open(report.path)
+    rows = release.grasps()
+    assert len(rows) == N
+    assert rows["hand_pos"].shape[1] == 1
+    assert np.isnan(rows["energy_qp"]).all()
+    for object_id in release.object_ids:
+        mine = rows.select(rows["object_id"] == object_id)
+        own = source.grasps(object_id)
+        order = np.argsort(own["grasp_id"][np.argsort(own["size_mm"], kind="stable")])
+        assert set(mine["source_ref"].tolist()) == set(own["source_ref"].tolist())
+        assert len(order) == len(mine)
+        assert (
+            release.load_solid(object_id).nominal_volume
+            == source.load_solid(object_id).nominal_volume
+        )
+    with pytest.raises(NotUsable, match="nothing to pack"):
+        pack_runs(
+            [imported],
+            tmp_path / "r2",
+            name="p",
+            version="1.0.0",
+            licences="permissive",
+            quiet=True,
+        )
+    again = start_retest(tmp_path / "release", tmp_path / "again")
+    assert sum(len(b) for b in again.batches()) == N
+
+
+def test_the_benchmark_s_own_grasps_keep_their_depths_and_verdicts(shared, menagerie, tmp_path):
+    """Four of its grasps, imported and judged by its protocol as this package states it."""
+    from bidexdata.validation import load_protocol, validate_grasps
+
+    root = shared / "peers" / "dexgraspbench"
+    with open(root / "peer_results.csv", newline="") as stream:
+        results = {row["file"]: row for row in csv.DictReader(stream)}
+    asked = request(root, hand="shadow", limit=80)
+    import_run(asked, tmp_path / "run", execution=HERE)
+    run = Run.open(tmp_path / "run")
+    batch = next(run.batches()).select(slice(None, None, 20))
+    assert [r in results for r in batch["source_ref"].tolist()] == [True] * 4
+    solid = run.load_solid(str(batch["object_id"][0]))
+    judged = validate_grasps(batch, solid, run.hands(), load_protocol("dexgraspbench-1"))
+    for k, ref in enumerate(batch["source_ref"].tolist()):
+        row = results[ref]
+        scale = float(row["scale"]) * solid.provenance["unit_in_file"]
+        assert batch["size"][k] == np.float32(scale)
+        assert judged["pd"][k] == pytest.approx(float(row["mj400_ho_pene_m"]), abs=1e-5)
+        assert judged["spd"][k] == pytest.approx(float(row["mj400_self_pene_m"]), abs=1e-5)
+        assert judged["success"][k] == bool(int(row["mj400_succ_flag"]))
