@@ -46,7 +46,8 @@ def figure_lines(
     if tested:
         lines.append(
             f"means over selected: PD {millimetres(figures['pd'])}, "
-            f"SPD {millimetres(figures['spd'])}, CDC {millimetres(figures['cdc'])}"
+            f"SPD {millimetres(figures['spd'])}, CDC {millimetres(figures['cdc'])}; "
+            f"D {share(figures['d'])} (scale-free {share(figures['d_scale_free'])})"
         )
     else:
         kept = figures["kept"]

@@ -104,7 +104,9 @@ def _metrics(figures: Mapping[str, Any]) -> str:
         "spd": "self-penetration depth SPD",
         "cdc": "contact distance consistency CDC",
     }
-    return ", ".join(f"{text} {_millimetres(figures[k])} mm" for k, text in named.items())
+    means = ", ".join(f"{text} {_millimetres(figures[k])} mm" for k, text in named.items())
+    spread = f"diversity D {_share(figures['d'])} (scale-free {_share(figures['d_scale_free'])})"
+    return f"{means}, {spread}"
 
 
 def _counts(counts: Mapping[str, int], label: str, unit: str) -> str:

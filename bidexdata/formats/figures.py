@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from bidexdata.formats.diversity import DiversityTally
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.rates import Rate, clustered_interval
 
@@ -37,6 +38,7 @@ class Tally:
         self._trials: dict[tuple[str, str, int], dict[str, list[int]]] = defaultdict(dict)
         self._kept: dict[int, list[int]] = defaultdict(lambda: [0, 0])
         self._metrics: dict[tuple[str, int], list[float]] = defaultdict(lambda: [0.0, 0])
+        self._diversity: dict[int | None, DiversityTally] = defaultdict(DiversityTally)
 
     def add(
         self,
@@ -59,7 +61,9 @@ class Tally:
         verdicts = verdicts or {}
         selected, audit = _flags(batch)
         touched, new = self._note_scenes(batch, run)
-        for size in set(touched.values()):
+        self._diversity[None].add(batch, selected)
+        for size in sorted(set(touched.values())):
+            self._diversity[size].add(batch, selected & (batch["size_mm"] == size))
             if grasps is not None:
                 self._kept[size][0] += _number(selected & (batch["size_mm"] == size))
                 self._kept[size][1] += grasps * sum(1 for s in new if touched[s] == size)
@@ -92,6 +96,7 @@ class Tally:
             "by_verdict": dict(sorted(self._verdicts[first].items())),
             "kept": _kept(self._kept.values()),
             **self._means(sizes),
+            **self._spread(None),
             "by_size": {},
             "tests": {},
         }
@@ -108,6 +113,7 @@ class Tally:
             out["by_size"][str(size)] = {
                 "kept": _kept([self._kept[size]]),
                 **self._means([size]),
+                **self._spread(size),
                 **{
                     f"{kind}_{test}": self._rate(kind, test, [size]).to_dict()
                     for test in self.tests
@@ -174,6 +180,12 @@ class Tally:
             n = sum(p[1] for p in pairs)
             out[name] = sum(p[0] for p in pairs) / n if n else None
         return out
+
+    def _spread(self, size: int | None) -> dict[str, float | None]:
+        found = self._diversity[size].value()
+        named = {"d": found.d, "d_scale_free": found.scale_free}
+        # The order in which batches come changes the last digits of sums, and must not show.
+        return {k: round(float(v), 6) if np.isfinite(v) else None for k, v in named.items()}
 
     def _rate(self, kind: str, test: str, sizes: list[int]) -> Rate:
         objects: dict[str, list[int]] = {}

@@ -1,0 +1,90 @@
+"""D of sets whose principal components are known by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from made_release import made_hands
+
+from bidexdata.formats.diversity import DiversityTally, grasp_vectors
+from bidexdata.frames import quat_from_rotation_vector, quat_multiply, quat_rotate, random_quat
+from bidexdata.record import GraspBatch, Header
+
+HANDS = tuple(h.header() for h in made_hands())
+J = max(len(h.joint_names) for h in HANDS)
+
+
+def batch(n, offsets=None, joints=None, object_quat=None):
+    """Grasps that differ in positions and joints alone, in the object frame."""
+    turn = np.tile([1.0, 0, 0, 0], (n, 1)) if object_quat is None else object_quat
+    offsets = np.zeros((n, 3)) if offsets is None else offsets
+    pos = np.repeat(offsets[:, None], len(HANDS), axis=1)
+    pos = quat_rotate(turn[:, None], pos)
+    quat = np.repeat(turn[:, None], len(HANDS), axis=1)
+    q = np.zeros((n, len(HANDS), 3, J)) if joints is None else joints
+    return GraspBatch(
+        Header(HANDS),
+        {
+            "object_pos": np.zeros((n, 3), np.float32),
+            "object_quat_wxyz": turn.astype(np.float32),
+            "hand_pos": np.repeat(pos[:, :, None], 3, axis=2).astype(np.float32),
+            "hand_quat_wxyz": np.repeat(quat[:, :, None], 3, axis=2).astype(np.float32),
+            "joints": q.astype(np.float32),
+        },
+    )
+
+
+def value(*batches):
+    tally = DiversityTally()
+    for b in batches:
+        tally.add(b, np.ones(len(b), bool))
+    return tally.value()
+
+
+def test_grasps_along_one_line_have_a_single_component():
+    line = np.linspace(-1, 1, 9)[:, None] * [0.1, 0.2, 0.0]
+    assert value(batch(9, offsets=line)).d == pytest.approx(1.0, abs=1e-5)
+
+
+def test_two_equal_directions_share_the_variance():
+    corners = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]]) * 0.1
+    found = value(batch(4, offsets=corners))
+    assert found.d == pytest.approx(0.5, abs=1e-5)
+    assert found.scale_free == pytest.approx(0.5, abs=1e-5)
+
+
+def test_the_scale_free_share_sees_positions_beside_large_angles():
+    rng = np.random.default_rng(0)
+    joints = np.zeros((500, len(HANDS), 3, J))
+    joints[:, 0, :, 0] = rng.normal(size=500)[:, None]
+    offsets = 0.001 * rng.normal(size=(500, 1)) * [1.0, 0, 0]
+    found = value(batch(500, offsets=offsets, joints=joints))
+    assert found.d > 0.999
+    # the x of both hands move together, the joint apart from them
+    assert found.scale_free == pytest.approx(2 / 3, abs=0.03)
+
+
+def test_parts_add_up_and_a_turned_scene_is_the_same_set():
+    rng = np.random.default_rng(1)
+    offsets = rng.normal(size=(20, 3)) * [0.1, 0.2, 0.05]
+    whole = value(batch(20, offsets=offsets))
+    parts = value(batch(7, offsets=offsets[:7]), batch(13, offsets=offsets[7:]))
+    assert parts.d == pytest.approx(whole.d, abs=1e-12)
+    turned = value(batch(20, offsets=offsets, object_quat=random_quat(rng, (20,))))
+    assert turned.d == pytest.approx(whole.d, abs=1e-5)
+
+
+def test_nothing_and_a_single_grasp_have_no_diversity():
+    assert np.isnan(value().d)
+    assert np.isnan(value(batch(1)).d)
+    assert np.isnan(value(batch(3)).scale_free)
+
+
+def test_vectors_are_position_rotation_and_joints_of_each_hand():
+    turn = quat_from_rotation_vector([0.0, 0.0, 0.3])
+    one = batch(1, offsets=np.array([[0.1, 0.2, 0.3]]))
+    columns = dict(one.columns)
+    columns["hand_quat_wxyz"] = quat_multiply(one["hand_quat_wxyz"], turn).astype(np.float32)
+    vector = grasp_vectors(GraspBatch(one.header, columns))[0]
+    assert len(vector) == sum(6 + len(h.joint_names) for h in HANDS)
+    np.testing.assert_allclose(vector[:6], [0.1, 0.2, 0.3, 0, 0, 0.3], atol=1e-6)
