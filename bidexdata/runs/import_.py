@@ -267,8 +267,8 @@ def _import_task(
     run, form = open_unchanged(run_path, run_fingerprint), load_format(form_name)
     log_to(run.path / "logs")
     parts = []
-    for file in read_files(run.path):
-        if file.failed or file.object_id != task.object_id:
+    for file in read_files(run.path, task.object_id):
+        if file.failed:
             continue
         sha256, grasps = read_file(form, Path(root), file.file)
         if sha256 != file.sha256:

@@ -27,6 +27,7 @@ FILES = "files.parquet"
 """Of an imported run: one row per file."""
 MEMORY_GIB = 6.0
 """Address space of a worker [GiB]."""
+_GROUP = 4096
 _CHUNK = 256
 """Files of a task: small enough for a bar that moves."""
 
@@ -102,11 +103,18 @@ def write_files(path: Path, rows: Iterable[FileRow]) -> None:
     table = pa.table(
         {n: pa.array([getattr(r, n) for r in rows], kinds.get(n, pa.string())) for n in names}
     )
-    write_atomically(path, lambda temporary: parquet.write_table(table, temporary))
+    # Files of one object lie together: with small groups a reader of one skips the others.
+    write_atomically(
+        path, lambda temporary: parquet.write_table(table, temporary, row_group_size=_GROUP)
+    )
 
 
-def read_files(run: Path) -> list[FileRow]:
+def read_files(run: Path, object_id: str | None = None) -> list[FileRow]:
     """Read `files.parquet` of an imported run, without the places.
+
+    Args:
+        run: The run's folder.
+        object_id: Files of one object; all when omitted.
 
     Raises:
         Contradiction: It is missing or damaged.
@@ -115,7 +123,9 @@ def read_files(run: Path) -> list[FileRow]:
     from pyarrow import parquet
 
     try:
-        return [FileRow(**row) for row in parquet.read_table(run / FILES).to_pylist()]
+        only = None if object_id is None else [("object_id", "=", object_id)]
+        table = parquet.read_table(run / FILES, filters=only)
+        return [FileRow(**row) for row in table.to_pylist()]
     except (pa.ArrowException, OSError, TypeError) as err:
         raise Contradiction(
             f"{run / FILES}: missing or damaged ({type(err).__name__}); delete it and run "
