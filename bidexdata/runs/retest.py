@@ -13,6 +13,7 @@ from bidexdata.config import differing_keys, fingerprint
 from bidexdata.errors import ConfigConflict, NotUsable
 from bidexdata.kinds import MANIFEST, kind_of
 from bidexdata.record import FIELDS, GraspBatch
+from bidexdata.record.scene import Setting
 from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.plan import Round, Task, write_plan
 from bidexdata.runs.run import PLAN_FILE, Run, refuse_foreign
@@ -68,11 +69,18 @@ def _spec(release: Release, out: Path) -> RunSpec:
         hand=",".join(h.name for h in release.hands),
         hands=release.hands,
         sizes_mm=tuple(sorted(sizes)),
+        setting=_setting(release),
         source=relative_to_run(release.path, out),
         source_fingerprint=hashlib.sha256(manifest).hexdigest()[:16],
         rounds=_rounds(release),
         versions=package_versions(),
     )
+
+
+def _setting(release: Release) -> Setting:
+    """Tabletop where every scene is; a release of both is tested as floating ones are."""
+    settings = set(release.scenes.column("setting").to_pylist())
+    return "tabletop" if settings == {"tabletop"} else "floating"
 
 
 def _rounds(release: Release) -> tuple[Round, ...]:

@@ -43,7 +43,9 @@ def floating(library: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def tabletop(library: Path) -> Path:
-    return made(library, "tabletop", "--setting", "tabletop")
+    folder = made(library, "tabletop", "--setting", "tabletop")
+    assert run(["validate", str(folder), *INLINE]) == 0
+    return folder
 
 
 def protocol_file(folder: Path) -> Path:
@@ -111,11 +113,21 @@ def test_extra_columns_are_measured_once_asked_for_and_never_lost(library):
     assert path.read_bytes() == before
 
 
-def test_tabletop_rows_are_tested_for_closure_and_lift(tabletop, capsys):
-    assert run(["validate", str(tabletop), "--executor", "inline", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert set(said["tests"]) == {"f", "l"}
-    assert said["tests"]["l"]["success"] > 0
+def test_tabletop_rows_are_tested_for_closure_and_lift(tabletop):
+    opened = Run.open(tabletop)
+    assert opened.verdict_tests() == [("paper-1", "f"), ("paper-1", "l")]
+    assert sum(b.success.sum() for b in opened.batches("paper-1", "l")) > 0
+
+
+def test_a_release_of_tabletop_grasps_can_be_lifted_again(tabletop, tmp_path, capsys):
+    named = ("--name", "x", "--version", "1.0.0", "--quiet")
+    assert run(["pack", str(tabletop), "--out", str(tmp_path / "release"), *named]) == 0
+    again = ["validate", str(tmp_path / "release"), "--out", str(tmp_path / "again")]
+    capsys.readouterr()
+    assert run([*again, "--tests", "l", "--executor", "inline", "--json"]) == 0
+    retested = json.loads(capsys.readouterr().out)["tests"]["l"]
+    stored = [b.success.sum() for b in Run.open(tabletop).batches("paper-1", "l")]
+    assert retested["success"] == sum(stored)
 
 
 def test_a_lift_of_a_floating_object_is_refused(floating, capsys):
