@@ -94,7 +94,7 @@ def import_(
     finish(
         data,
         lines,
-        following=command("validate", out) if done else "",
+        following=command("validate", out, "--protocol", "dexgraspbench-1") if done else "",
         as_json=as_json,
         quiet=quiet,
     )

@@ -126,10 +126,13 @@ def _validate(
             "by_status": report.by_status,
             "seconds": round(report.seconds, 3),
         }
-        lines.append(
-            f"test {test}: {report.good} of {report.rows} rows pass "
-            f"({counts_text(report.by_status)}) in {report.seconds:.1f} s"
-        )
+        if report.before == report.tasks:
+            lines.append(f"test {test} of {rules.name}: all {report.tasks} tasks were done before")
+        else:
+            lines.append(
+                f"test {test} of {rules.name}: {report.good} of {report.rows} rows pass "
+                f"({counts_text(report.by_status)}) in {report.seconds:.1f} s"
+            )
         warn_of_failed(report, run.path)
     following = command("info", run.path)
     if run.spec.kind == "synth":

@@ -41,7 +41,7 @@ def test_an_import_reports_its_files_and_the_next_command(bench, tmp_path, capsy
     data = json.loads(capsys.readouterr().out)
     assert (data["files"], data["files_failed"], data["n"], data["objects"]) == (9, 1, 8, 2)
     assert data["failures"][0]["file"] == "graspdata/bad.npy"
-    assert data["next"] == f"bidexdata validate {out}"
+    assert data["next"] == f"bidexdata validate {out} --protocol dexgraspbench-1"
     assert set(data) - {"next"} <= documented("import")
     assert run(importing(bench, out)) == 0
     text = capsys.readouterr().out
