@@ -292,7 +292,8 @@ def _rests(
     """Whether the object is so slow that it stays within the limits to the end of the load.
 
     Source:
-        docs/measurements.md, 8, for the form; the bounds of speed are ours (section 12 there).
+        docs/measurements.md, 8, for the form; the bounds of speed are ours: `benchmarks/truth.py`
+        compares the rule with plain runs.
     """
     if time < execution.rest_from - 1e-9:
         return False
