@@ -20,11 +20,20 @@ from bidexdata.errors import BadConfig, PathNotFound, UnknownChoice, UnknownKey
 
 T = TypeVar("T")
 
+OMIT_NONE = {"omit_none": True}
+"""Metadata of a field that plain data leaves out where it is None: a key added to a published
+configuration, whose fingerprint stays what it was."""
+
 
 def to_plain(config: Any) -> Any:
     """Turn a (nested) dataclass into dicts, lists and scalars that JSON can hold."""
     if dataclasses.is_dataclass(config) and not isinstance(config, type):
-        return {f.name: to_plain(getattr(config, f.name)) for f in dataclasses.fields(config)}
+        values = ((f, getattr(config, f.name)) for f in dataclasses.fields(config))
+        return {
+            f.name: to_plain(value)
+            for f, value in values
+            if value is not None or not f.metadata.get("omit_none", False)
+        }
     if isinstance(config, Mapping):
         return {str(k): to_plain(v) for k, v in config.items()}
     if isinstance(config, (list, tuple)):

@@ -44,7 +44,20 @@ def validate(
     video: Annotated[
         Path | None, typer.Option(metavar="FILE.mp4", help="With --replay: film it.")
     ] = None,
-    workers: options.Workers = 0,
+    backend: Annotated[
+        str,
+        typer.Option(help="mujoco, or mujoco_warp for a GPU: other verdicts, under NAME-warp."),
+    ] = "mujoco",
+    device: Annotated[
+        str | None,
+        typer.Option(help="Of mujoco_warp: cuda:0 (the default), or cpu to try it out."),
+    ] = None,
+    workers: Annotated[
+        int,
+        typer.Option(
+            min=0, help="Worker processes; 0 means one per core, with mujoco_warp one in all."
+        ),
+    ] = 0,
     executor: options.ExecutorName = "processes",
     shard: options.Shard = None,
     config: options.ConfigFile = None,
@@ -58,16 +71,22 @@ def validate(
     Grasps that have a verdict are left alone, so the same command goes on after a stop. --config
     and --set change settings of the protocol, which then needs a name of its own (--set name=NAME).
 
+    MuJoCo's C engine judges. --backend mujoco_warp is another engine, for many grasps at once on a
+    GPU (the extra gpu): its verdicts are close to those and not equal, so they are stored under a
+    name of their own, paper-1-warp, and never mixed with them.
+
     --json keys: run, protocol, seconds and, per test in `tests`: tasks, tasks_before,
     tasks_failed, n, success, by_status, seconds. n, success and by_status count this call only.
     With --replay: grasp_id, protocol, test, success, status, failed_stage, direction,
     stored_status, seconds_simulated, frames, video.
     """
+    from bidexdata.validation.backends import on_backend
     from bidexdata.validation.protocols import load_protocol
 
     rules = _renamed(load_protocol(protocol), config, assignments)
     named = options.parse_words(tests)
     if replay is not None:
+        _require_watchable(backend, device)
         _replay(path, replay, rules, named, video, as_json=as_json, quiet=quiet)
         return
     if video is not None:
@@ -75,9 +94,23 @@ def validate(
     execution = options.execution_of(executor, workers, shard, quiet)
     wanted: dict[Extra, bool] = {"load_margin": load_margin, "analytic": analytic}
     extras: list[Extra] = [name for name, asked in wanted.items() if asked]
+    device = device or ("cuda:0" if backend == "mujoco_warp" else "cpu")
+    rules = on_backend(rules, backend, device)  # before anything is written
     _validate(
-        _run_of(path, out), rules, named, execution, extras, as_json=as_json, quiet=quiet
+        *(_run_of(path, out), rules, named, execution, extras, device),
+        as_json=as_json,
+        quiet=quiet,
     )
+
+
+def _require_watchable(backend: str, device: str | None) -> None:
+    from bidexdata.errors import NotUsable
+
+    if backend != "mujoco" or device is not None:
+        raise NotUsable(
+            "--replay looks on while MuJoCo's C engine tests a grasp: leave out --backend and "
+            "--device"
+        )
 
 
 def _run_of(path: Path, out: Path | None) -> Run:
@@ -102,13 +135,21 @@ def _validate(
     tests: Sequence[str],
     execution: Execution,
     extras: Sequence[Extra],
+    device: str,
     *,
     as_json: bool,
     quiet: bool,
 ) -> None:
+    from bidexdata.runs.chosen import DEFAULT_PROTOCOL
     from bidexdata.runs.validate import validate_run
 
-    reports = validate_run(run, rules, tests, execution=execution, extras=extras)
+    reports = validate_run(
+        *(run, rules, tests),
+        execution=execution,
+        extras=extras,
+        backend=rules.backend,
+        device=device,
+    )
     data: dict[str, Any] = {
         "run": str(run.path),
         "protocol": rules.name,
@@ -136,8 +177,9 @@ def _validate(
         warn_of_failed(report, run.path)
     following = command("info", run.path)
     if run.spec.kind == "synth":
+        named = () if rules.name == DEFAULT_PROTOCOL else ("--protocol", rules.name)
         following = command(
-            *("pack", run.path, "--out", "RELEASE", "--name", "NAME", "--version", "1.0.0")
+            *("pack", run.path, "--out", "RELEASE", "--name", "NAME", "--version", "1.0.0"), *named
         )
     finish(data, lines, following=following, as_json=as_json, quiet=quiet)
     refuse_nothing(

@@ -5,19 +5,20 @@ Rows go from shard or row group to the file, one object at a time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bidexdata.errors import BadConfig, NotUsable, UnknownName
+from bidexdata.errors import BadConfig, NotUsable
 from bidexdata.formats import parquet
 from bidexdata.formats.flat import GRASP, Verdicts, flat_rows, flat_schema
 from bidexdata.formats.tables import VERDICT_COLUMNS
 from bidexdata.record import GraspBatch
 from bidexdata.runs.browse import LibrarySource, ReleaseSource, RunSource, open_browsable
+from bidexdata.runs.chosen import chosen_protocol
 from bidexdata.runs.finished import Finished
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.shards import write_atomically
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from bidexdata.runs.run import Run
 
 ENDINGS = (".csv", ".parquet")
-DEFAULT_PROTOCOL = "paper-1"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,12 +75,12 @@ def write_table(
         schema, tables, total, quiet = whole.schema, iter([whole]), 1, True
     elif isinstance(source, RunSource):
         run = source.run
-        chosen = _protocol_of(path, run.verdict_tests(), protocol)
+        chosen = chosen_protocol(path, run.verdict_tests(), protocol)
         schema, tables, total = flat_schema(), run_rows(run, chosen), len(run.object_ids)
     else:
         assert isinstance(source, ReleaseSource)
         release, quiet = source.release, True  # row groups: seconds, and no objects to count
-        chosen = _protocol_of(path, release.protocols, protocol)
+        chosen = chosen_protocol(path, release.protocols, protocol)
         schema, tables, total = flat_schema(), release_rows(release, chosen), 0
     rows = _write(out, schema, tables, total, quiet)
     return TableReport(
@@ -147,22 +147,6 @@ def _verdicts(table: pa.Table) -> Verdicts:
     filled = table.column("success").fill_null(False)
     batch = GraspBatch.from_arrow(table.set_column(at, pa.field("success", pa.bool_()), filled))
     return Verdicts({n: batch[n] for n in VERDICT_COLUMNS if n in batch}, tested)
-
-
-def _protocol_of(path: str | Path, tests: Sequence[tuple[str, str]], protocol: str | None) -> str:
-    known = sorted({p for p, _ in tests})
-    if protocol is not None:
-        if protocol not in known:
-            raise UnknownName("protocol with verdicts here", protocol, known)
-        return protocol
-    if DEFAULT_PROTOCOL in known or not known:
-        return DEFAULT_PROTOCOL if known else ""
-    if len(known) > 1:
-        raise NotUsable(
-            f"{path} has verdicts of several protocols; say which with --protocol: "
-            f"{', '.join(known)}"
-        )
-    return known[0]
 
 
 def _write(

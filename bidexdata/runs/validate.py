@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import logging
 import time
@@ -37,6 +38,8 @@ from bidexdata.runs.shards import (
 from bidexdata.runs.stage import Execution, StageReport, TaskSummary, run_stage
 
 if TYPE_CHECKING:
+    from bidexdata.validation import stages
+    from bidexdata.validation.backends import Backend
     from bidexdata.validation.protocols import Protocol
 
 Extra = Literal["load_margin", "analytic"]
@@ -50,8 +53,13 @@ def validate_run(
     *,
     execution: Execution | None = None,
     extras: Sequence[Extra] = (),
+    backend: Backend = "mujoco",
+    device: str = "cpu",
 ) -> dict[str, StageReport]:
     """Test every finished task of a run that is not tested yet.
+
+    The verdicts are stored under the protocol that `on_backend` gives: `paper-1` on `mujoco_warp`
+    is `paper-1-warp`. Unless `execution` says how many, one worker drives the device.
 
     Args:
         run: The run; its unfinished tasks are left out.
@@ -59,22 +67,55 @@ def validate_run(
         tests: Names of tests; what the rows allow when empty.
         execution: Where and how.
         extras: Columns to measure besides; tasks that were tested without are tested again.
+        backend: The engine that judges, `mujoco` or `mujoco_warp`.
+        device: Warp device of `mujoco_warp`.
 
     Returns:
         A report per test.
 
     Raises:
-        NotUsable: A test that the protocol or the setting does not allow, or nothing to test.
+        NotUsable: A test that the protocol or the setting does not allow, nothing to test, or
+            something that the back end does not do here.
+        MissingExtra: MuJoCo Warp is asked for and not installed.
         ConfigConflict: The run has verdicts of another protocol under this name.
     """
+    from bidexdata.validation.backends import check_backend, on_backend
+
     execution = execution or Execution()
+    check_backend(protocol, backend, device, _how(extras))
+    protocol = on_backend(protocol, backend, device)
+    if protocol.engine is not None:
+        execution = _for_one_device(execution)
     names = allowed_tests(run, protocol, tests)
     have = run.done()
     if not have:
         raise NotUsable(f"{run.path} has no finished task yet; run `bidexdata synth` first")
     _store_protocol(run, protocol)
     tasks = [t for t in take_shard(run.tasks, execution.shard) if t.task_id in have]
-    return {test: _run_test(run, protocol, test, tasks, execution, tuple(extras)) for test in names}
+    return {
+        test: _run_test(run, protocol, test, tasks, execution, tuple(extras), device)
+        for test in names
+    }
+
+
+def _how(extras: Sequence[Extra]) -> stages.Execution:
+    from bidexdata.validation import stages
+
+    return stages.Execution(load_margin="load_margin" in extras, analytic="analytic" in extras)
+
+
+def _for_one_device(execution: Execution) -> Execution:
+    """Let one worker drive the device, unless the caller says how many.
+
+    Raises:
+        NotUsable: A Ray cluster, whose workers are on other machines.
+    """
+    if execution.executor == "ray":
+        raise NotUsable(
+            "the back end mujoco_warp is driven by a process beside its device: use "
+            "--executor processes or inline"
+        )
+    return execution if execution.workers else dataclasses.replace(execution, workers=1)
 
 
 def allowed_tests(run: Run, protocol: Protocol, asked: Sequence[str]) -> tuple[str, ...]:
@@ -114,6 +155,7 @@ def _run_test(
     tasks: Sequence[Task],
     execution: Execution,
     extras: tuple[Extra, ...],
+    device: str,
 ) -> StageReport:
     folder = run.stage_folder("validate", protocol.name, test)
     mark = verdict_fingerprint(run, protocol, test)
@@ -136,6 +178,7 @@ def _run_test(
             to_plain(protocol),
             test,
             tuple(sorted(measured)),
+            device,
         ),
         unit="tasks",
         logs=run.path / "logs",
@@ -158,9 +201,9 @@ def _validate_task(
     protocol_data: dict,
     test: str,
     extras: tuple[Extra, ...],
+    device: str,
     task: Task,
 ) -> TaskSummary:
-    from bidexdata.validation import stages
     from bidexdata.validation.protocols import Protocol
     from bidexdata.validation.validate import validate_grasps
 
@@ -168,15 +211,23 @@ def _validate_task(
     log_to(run.path / "logs")
     start = time.monotonic()
     protocol = from_plain(Protocol, protocol_data)
-    how = stages.Execution(load_margin="load_margin" in extras, analytic="analytic" in extras)
+    how = _how(extras)
     batch = run.task_batch(task)
     columns = validate_grasps(
-        batch, run.load_solid(task.object_id), run.hands(), protocol, test, execution=how
+        batch,
+        run.load_solid(task.object_id),
+        run.hands(),
+        protocol,
+        test,
+        execution=how,
+        backend=protocol.backend,
+        device=device,
     )
     verdicts = verdict_batch(batch.header, batch["grasp_id"], columns)
     path = shard_path(run.stage_folder("validate", protocol.name, test), task.task_id)
     notes = {"extras": list(extras), "execution": to_plain(how)}
-    write_shard(path, verdicts.to_arrow(), verdict_fingerprint(run, protocol, test), notes=notes)
+    mark = verdict_fingerprint(run, protocol, test)
+    write_shard(path, verdicts.to_arrow(), mark, device=device, notes=notes)
     labels = [Status(int(s)).label for s in columns["verdict_status"]]
     seconds = time.monotonic() - start
     logging.getLogger(__name__).info(

@@ -12,13 +12,31 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from bidexdata.config import from_plain, load_yaml, merge, to_plain
+from bidexdata.config import OMIT_NONE, from_plain, load_yaml, merge, to_plain
 from bidexdata.errors import BadConfig, NotUsable, UnknownName
 from bidexdata.simulation.settings import SceneSettings
 
 DIRECTIONS = ("+x", "-x", "+y", "-y", "+z", "-z")
 """Loads in the order of the record's `direction`."""
+WARP_SUFFIX = "-warp"
+"""How the names of protocols end whose verdicts are MuJoCo Warp's, and no others."""
 _NAME = re.compile(r"[a-z0-9][a-z0-9_.-]{0,63}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Engine:
+    """The engine that judged, where it is not MuJoCo's own: MuJoCo Warp, as it was.
+
+    Versions count because the engine changes with them; the kind of device because a GPU adds in
+    another order than a CPU.
+    """
+
+    backend: Literal["mujoco_warp"] = "mujoco_warp"
+    device: Literal["cpu", "cuda"]
+    mujoco_warp: str
+    """Version of the engine."""
+    warp: str
+    """Version of Warp."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,6 +127,8 @@ class Protocol:
     """Faster than this the simulation counts as blown up [m/s]; free fall of 3 s reaches 29."""
 
     metrics: MetricRules = field(default_factory=MetricRules)
+    engine: Engine | None = field(default=None, metadata=OMIT_NONE)
+    """Whose verdicts they are; None: those of MuJoCo's C engine. `backends.on_backend` sets it."""
 
     def __post_init__(self) -> None:
         positive = ("segment_changes", "segment_steps", "hold", "check_every", "limit_pos")
@@ -130,6 +150,16 @@ class Protocol:
             raise BadConfig(
                 f"protocol.name {self.name!r}: use lower-case letters, digits, dots and dashes"
             )
+        if self.name.endswith(WARP_SUFFIX) != (self.engine is not None):
+            raise BadConfig(
+                f"protocol.name {self.name!r}: {WARP_SUFFIX!r} ends the names of protocols whose "
+                "verdicts are MuJoCo Warp's, and only theirs"
+            )
+
+    @property
+    def backend(self) -> Literal["mujoco", "mujoco_warp"]:
+        """The back end whose verdicts are this protocol's."""
+        return "mujoco" if self.engine is None else self.engine.backend
 
     @property
     def steps_per_check(self) -> int:
@@ -172,13 +202,20 @@ def load_protocol(name: str | Path) -> Protocol:
         UnknownName: No protocol is called so.
         PathNotFound: The file does not exist.
         BadConfig: The file has an unknown key or an impossible value.
-        NotUsable: The file takes the name of a known protocol for other settings.
+        NotUsable: The file takes the name of a known protocol for other settings, or the name
+            is that of verdicts of MuJoCo Warp.
     """
     from .named import NAMED
 
     text = str(name)
     if text.endswith((".yaml", ".yml")):
         return _from_file(Path(text))
+    base = text.removesuffix(WARP_SUFFIX)
+    if base != text and base in NAMED:
+        raise NotUsable(
+            f"{text!r} is how verdicts of MuJoCo Warp are stored: use --protocol {base} "
+            "--backend mujoco_warp"
+        )
     if text not in NAMED:
         raise UnknownName(
             "protocol", text, NAMED, "`bidexdata protocols` lists them, and a YAML file works"

@@ -17,6 +17,7 @@ from bidexdata.simulation.engine_log import engine_warnings_logged
 from bidexdata.simulation.scene import SceneNotBuilt, SimScene, build_scene
 
 from .analytic import analytic_metrics
+from .backends import Backend, check_backend
 from .force_closure import force_closure
 from .lift import lift
 from .metrics import grasp_metrics, measure
@@ -24,6 +25,7 @@ from .protocols import Protocol, require_test
 from .stages import Execution as Execution
 from .stages import Grasp
 from .verdict import Verdict
+from .warp_backend import warp_verdicts
 
 TESTS = {"f": force_closure, "l": lift}
 WITH_TABLE = frozenset("l")
@@ -45,11 +47,15 @@ def validate_grasps(
     test: str = "f",
     *,
     execution: Execution | None = None,
+    backend: Backend = "mujoco",
+    device: str = "cpu",
 ) -> dict[str, np.ndarray]:
     """Test and measure grasps of one object; any sizes and scenes, in any order.
 
     One scene is compiled per size and reused; every grasp starts from a full reset, so the order
-    of the rows changes nothing.
+    of the rows changes nothing. The grasps of a size are one batch for `mujoco_warp`, whose
+    verdicts are not those of `protocol` but of `backends.on_backend(protocol, ...)`; metrics are
+    measured on MuJoCo's C engine under either.
 
     Args:
         batch: Rows whose object is `solid`.
@@ -58,17 +64,23 @@ def validate_grasps(
         protocol: The settings.
         test: Which of the protocol's tests.
         execution: Early stops; on when omitted.
+        backend: The engine that judges: `mujoco`, or `mujoco_warp` for GPUs.
+        device: Warp device of `mujoco_warp`, such as `cuda:0`; its `cpu` is for trying it out.
 
     Returns:
         The columns written by "validate", one value per row of `batch` in its order. Rows
         without a grasp get status NOT_RUN.
 
     Raises:
-        NotUsable: The protocol lacks the test, or object or hands are not those of the batch.
+        NotUsable: The protocol lacks the test, object or hands are not those of the batch, or
+            the back end cannot judge by the protocol here.
+        MissingExtra: MuJoCo Warp is asked for and not installed.
+        ContactOverflow: MuJoCo Warp has no room for the contacts of a grasp.
     """
     require_test(protocol, test)
     _require_same(batch, solid, hands)
     execution = execution or Execution()
+    check_backend(protocol, backend, device, execution)
     columns = empty_columns(batch.header, columns_written_by("validate"), len(batch))
     statuses = statuses_before(batch, hands)
     columns["verdict_status"][:] = statuses
@@ -80,12 +92,18 @@ def validate_grasps(
         except SceneNotBuilt:
             columns["verdict_status"][rows] = Status.NO_SCENE
             continue
+        grasps = [grasp_of(batch, int(row)) for row in rows]
         with engine_warnings_logged():
-            for row in rows:
-                grasp = grasp_of(batch, int(row))
+            for row, grasp in zip(rows, grasps, strict=True):
                 _write_metrics(columns, int(row), scene, protocol, grasp, execution)
-                verdict = TESTS[test](scene, protocol, grasp, execution)
-                _write_verdict(columns, int(row), verdict)
+            if backend == "mujoco":
+                verdicts = [TESTS[test](scene, protocol, g, execution) for g in grasps]
+            else:
+                verdicts = warp_verdicts(
+                    scene, protocol, grasps, test, device=device, execution=execution
+                )
+        for row, verdict in zip(rows, verdicts, strict=True):
+            _write_verdict(columns, int(row), verdict)
     return columns
 
 

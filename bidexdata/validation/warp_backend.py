@@ -87,7 +87,7 @@ def warp_verdicts(
         raise NotUsable(f"MuJoCo Warp runs the tests f and l, not {test!r}")
     if most_worlds < 1:
         raise BadConfig(f"most_worlds must be at least 1, not {most_worlds!r}")
-    _require_supported(protocol)
+    require_supported(protocol)
     refused = [start_overlap(scene, protocol, g) for g in grasps]
     rows = [n for n, verdict in enumerate(refused) if verdict is None]
     verdicts = [verdict or Verdict(Status.NOT_RUN) for verdict in refused]
@@ -379,7 +379,7 @@ class _Judge:
         return Verdict(Status.OK, drift_pos=moved, drift_rot=turned)
 
 
-def _require_supported(protocol: Protocol) -> None:
+def require_supported(protocol: Protocol) -> None:
     """Refuse what this back end does not do.
 
     Raises:

@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.devices import start_warp
+from bidexdata.devices import check_device, start_warp
 from bidexdata.errors import BidexError, MissingExtra, NotUsable
 from bidexdata.simulation.scene import SimScene
 
-BACKEND = "mujoco_warp"
-"""How verdicts of this engine are marked."""
+from .protocols import Engine
+
 CONTACTS = 64
 """Contacts a world has room for at first. Measured: at most 45 in one world, and on average over a
 batch at most 32 contacts and 34 pairs of the broad phase (docs/mujoco_warp.md)."""
@@ -77,22 +77,19 @@ def load_engine() -> Any:
         raise MissingExtra("mujoco-warp", "gpu") from err
 
 
-def engine_identity(device: str) -> dict[str, str]:
-    """What to fold into the fingerprint of verdicts that this back end gives.
+def engine_identity(device: str) -> Engine:
+    """Say what the verdicts of this engine on a device are marked with.
 
-    Versions count because the engine changes with them; the kind of device because a GPU adds in
-    another order than a CPU.
+    Raises:
+        MissingExtra: MuJoCo Warp is not installed.
+        NotUsable: There is no such device.
     """
     engine = load_engine()
+    check_device(device)
     import warp as wp
 
     kind = "cuda" if wp.get_device(device).is_cuda else "cpu"
-    return {
-        "backend": BACKEND,
-        "device": kind,
-        "mujoco_warp": engine.__version__,
-        "warp": wp.__version__,
-    }
+    return Engine(device=kind, mujoco_warp=engine.__version__, warp=wp.__version__)
 
 
 class Worlds:
@@ -118,13 +115,8 @@ class Worlds:
 
         self._scene, self.count, self._contacts = scene, count, contacts
         self._parked, self._graph = parked, None
-        try:
-            self._device = wp.get_device(device)
-        except (ValueError, RuntimeError) as err:
-            known = ", ".join(d.alias for d in wp.get_devices())
-            raise NotUsable(
-                f"no device is called {device!r} here; this machine has: {known}"
-            ) from err
+        check_device(device)
+        self._device = wp.get_device(device)
         with wp.ScopedDevice(self._device):
             try:
                 self._model = self._engine.put_model(scene.model)

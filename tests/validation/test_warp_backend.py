@@ -1,7 +1,8 @@
 """The back end on MuJoCo Warp: against the C engine, and by itself on every device present.
 
 Compiling the engine's kernels takes 75 s of CPU once (Warp's CPU device). After that, on a busy
-2-core machine, the test with the engine that is not marked slow takes 20 s, the slow ones 3 minutes.
+2-core machine, the tests with the engine that are not marked slow take 20 s and 10 s, the slow ones
+3 minutes.
 """
 
 from __future__ import annotations
@@ -17,12 +18,22 @@ import warp as wp
 from box_solids import box_solid
 from grasps import HALF, batch_of, squeeze, turned
 
+from bidexdata import Run
+from bidexdata.cli.main import run
 from bidexdata.devices import start_warp
 from bidexdata.errors import BadConfig, MissingExtra, NotUsable
 from bidexdata.record import Status
+from bidexdata.record.fields import columns_written_by
+from bidexdata.runs.shards import read_mark, shard_path
 from bidexdata.simulation.scene import build_scene
 from bidexdata.simulation.state import set_pose
-from bidexdata.validation import Execution, load_protocol, warp_backend, warp_worlds
+from bidexdata.validation import (
+    Execution,
+    load_protocol,
+    validate_grasps,
+    warp_backend,
+    warp_worlds,
+)
 from bidexdata.validation.force_closure import force_closure
 from bidexdata.validation.stages import close_hands
 from bidexdata.validation.validate import grasp_of
@@ -228,9 +239,48 @@ def test_what_two_palms_squeeze_is_lifted_and_what_they_do_not_touch_stays(hands
 
 
 @needs_engine
-def test_the_identity_names_versions_and_the_kind_of_device():
-    identity = warp_worlds.engine_identity("cpu")
-    assert identity["backend"] == "mujoco_warp"
-    assert identity["device"] == "cpu"
-    assert identity["warp"] == wp.__version__
-    assert set(identity) == {"backend", "device", "mujoco_warp", "warp"}
+@on_devices
+def test_a_run_has_the_verdicts_of_both_engines_side_by_side(device, tmp_path, capsys):
+    """Through the command line: the same columns, metrics of the C engine, another name."""
+    library, folder = str(tmp_path / "library"), str(tmp_path / "run")
+    quiet = ("--executor", "inline", "--quiet")
+    fast = ("--set", "regions.anchors=60", "--set", "optimise.approach.steps=40")
+    few = ("--hand", "capsule", "--sizes", "0.3", "--grasps", "2", "--candidates", "2")
+    assert run(["prepare", "shapes:box", "--out", library, *quiet]) == 0
+    assert run(["synth", library, "--out", folder, *few, *fast, *quiet]) == 0
+    brief = ("name=brief-1", "hold=0.2", "segment_changes=3", "segment_steps=5")
+    validate = ["validate", folder, *(w for s in brief for w in ("--set", s)), *quiet]
+    assert run(validate) == 0
+    assert run([*validate, "--backend", "mujoco_warp", "--device", device]) == 0
+    opened = Run.open(folder)
+    assert opened.verdict_tests() == [("brief-1", "f"), ("brief-1-warp", "f")]
+    engine = opened.protocol("brief-1-warp").engine
+    assert engine == warp_worlds.engine_identity(device)
+    (task,) = opened.tasks
+    c, gpu = (opened.task_batch(task, name) for name in ("brief-1", "brief-1-warp"))
+    assert list(gpu.columns) == list(c.columns)
+    judged = ("verdict_status", "success", "drift_pos", "drift_rot", "time", "direction")
+    for name in set(columns_written_by("validate")) - {*judged, "failed_stage"}:
+        np.testing.assert_array_equal(gpu[name], c[name])
+    np.testing.assert_array_equal(gpu.success, c.success)
+    np.testing.assert_allclose(gpu.drift_pos, c.drift_pos, atol=0.001)
+    mark = read_mark(shard_path(opened.stage_folder("validate", "brief-1-warp", "f"), task.task_id))
+    assert mark.made_with["device"] == engine.device
+    capsys.readouterr()
+    assert run([*validate[:-1], "--backend", "mujoco_warp", "--device", device]) == 0
+    assert "of brief-1-warp: all 1 tasks were done before" in capsys.readouterr().out
+
+
+@needs_engine
+@pytest.mark.slow
+@on_devices
+def test_rows_of_several_sizes_and_rows_without_a_grasp_are_one_call(hands, device):
+    rows = [squeeze(hands), squeeze(hands, gaps=(0.1,) * 3), squeeze(hands), squeeze(hands)]
+    status = np.array([Status.OK, Status.OK, Status.NO_REGION_PAIR, Status.OK])
+    batch = batch_of(hands, rows, size_mm=[300, 300, 300, 310], synth_status=status)
+    c = validate_grasps(batch, BOX, hands, PAPER)
+    gpu = validate_grasps(batch, BOX, hands, PAPER, backend="mujoco_warp", device=device)
+    assert list(gpu) == list(c)
+    for name in ("verdict_status", "success", "direction", "failed_stage", "pd", "spd", "cdc"):
+        np.testing.assert_array_equal(gpu[name], c[name])
+    assert gpu["verdict_status"][2] == Status.NOT_RUN
