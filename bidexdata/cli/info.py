@@ -9,7 +9,7 @@ import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.figures import figure_lines
-from bidexdata.cli.report import command, counts_text, finish, no_scene_text
+from bidexdata.cli.report import counts_text, finish, no_scene_text, validate_again
 
 
 def info(
@@ -72,7 +72,7 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
     if not data["protocols"]:
         return lines + figure_lines(data["figures"])
     for protocol, figures in data["protocols"].items():
-        again = command("validate", data["path"], "--protocol", protocol)
+        again = validate_again(data["path"], protocol)
         tested = f"{figures['tested_rows']} of {figures['n']} rows"
         lines += figure_lines(figures, protocol, f"partly validated: {tested}; run {again} again")
         if figures["untested_objects"]:

@@ -9,7 +9,7 @@ import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.figures import figure_lines
-from bidexdata.cli.report import command, finish, warn
+from bidexdata.cli.report import command, finish, validate_again, warn
 
 
 def pack(
@@ -24,6 +24,13 @@ def pack(
         str, typer.Option(help="nc-ok (all objects) or permissive (known permissive licences).")
     ] = "nc-ok",
     split: Annotated[str, typer.Option(help="object: no object is in two splits.")] = "object",
+    protocol: Annotated[
+        str | None,
+        typer.Option(
+            help="Whose verdicts are suc_f, suc_l and the metrics; paper-1, or the only one, when "
+            "left out. The tables hold those of every protocol."
+        ),
+    ] = None,
     seed: options.Seed = 0,
     as_json: options.Json = False,
     quiet: options.Quiet = False,
@@ -33,13 +40,13 @@ def pack(
 
     It holds tables, shapes, hands, clouds, a card and a manifest.
 
-    --json keys: release, name, version, unfinished, untested, left_out, and all figures of the
+    --json keys: release, name, version, protocol, unfinished, untested, left_out, and all figures of the
     card (n, objects, scenes, suc_f, kept, by_size, by_status, by_verdict, tests ...).
     """
     from typing import cast
 
     from bidexdata.errors import NotUsable
-    from bidexdata.runs.pack import DEFAULT_PROTOCOL, Licences, pack_runs
+    from bidexdata.runs.pack import Licences, pack_runs
 
     if licences not in ("nc-ok", "permissive"):
         raise NotUsable(f"--licences {licences!r}: this version offers nc-ok and permissive")
@@ -52,6 +59,7 @@ def pack(
         version=version,
         form=form,
         licences=cast("Licences", licences),
+        protocol=protocol,
         seed=seed,
         quiet=quiet,
     )
@@ -59,7 +67,7 @@ def pack(
         warn(f"run {unfinished}: {number} tasks are not done; their grasps are not in the release")
     for run in report.half_tested:
         missing = f"run {run.name}: {run.rows - run.tested} of {run.rows} rows are not tested"
-        warn(f"{missing}; run: {command('validate', run.path)}")
+        warn(f"{missing}; run: {validate_again(run.path, report.protocol)}")
     if report.untested:
         warn(f"{report.untested} objects are not validated completely and carry no verdicts")
     if report.left_out:
@@ -68,12 +76,13 @@ def pack(
         "release": str(report.path),
         "name": name,
         "version": version,
+        "protocol": report.protocol,
         "unfinished": dict(report.unfinished),
         "untested": report.untested,
         "left_out": list(report.left_out),
         **report.figures,
     }
-    lines = [*figure_lines(report.figures, DEFAULT_PROTOCOL), f"written to {report.path}"]
+    lines = [*figure_lines(report.figures, report.protocol), f"written to {report.path}"]
     finish(
         data,
         lines,

@@ -47,6 +47,17 @@ def command(*parts: str | Path) -> str:
     return shlex.join(["bidexdata", *(str(p) for p in parts)])
 
 
+def validate_again(run: str | Path, protocol: str) -> str:
+    """The command that gives a run its verdicts of a protocol that it has some of."""
+    from bidexdata.runs.chosen import DEFAULT_PROTOCOL
+    from bidexdata.validation.protocols import WARP_SUFFIX
+
+    base = protocol.removesuffix(WARP_SUFFIX)
+    named = () if base == DEFAULT_PROTOCOL else ("--protocol", base)
+    engine = () if base == protocol else ("--backend", "mujoco_warp")
+    return command("validate", run, *named, *engine)
+
+
 def warn(text: str) -> None:
     """Print a line on standard error."""
     print(text, file=sys.stderr)

@@ -127,12 +127,13 @@ class BiDexDataset:
         return tuple(hand.side for hand in self.release.hands)
 
     def __repr__(self) -> str:
-        """Say what is loaded, and that it is a selection."""
+        """Say what is loaded, that it is a selection, and whose verdicts `suc_*` are."""
         rows = "selected rows only" if self.configuration == "selected" else "audit rows only"
         where = "" if self.where is None else f", where={self._where_name()}"
         return (
             f"BiDexDataset({self.release.name} {self.release.version}, split={self.split!r}, "
-            f"{rows}, {len(self)} of {self._total} grasps{where}, frame={self.frame!r})"
+            f"{rows}, {len(self)} of {self._total} grasps{where}, frame={self.frame!r}, "
+            f"suc_* by {self.release.default_protocol})"
         )
 
     def _where_name(self) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 from bidexdata.config import differing_keys, to_plain
 from bidexdata.errors import NotUsable
+from bidexdata.runs.chosen import DEFAULT_PROTOCOL, chosen_protocol
 from bidexdata.runs.finished import Finished, Test
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.run import Run, join_tasks
@@ -34,7 +35,6 @@ PERMISSIVE = (
     "odc-by-1.0",
 )
 """SPDX identifiers, lower case, that allow any use with at most attribution."""
-DEFAULT_PROTOCOL = "paper-1"
 
 
 class TestedRows(NamedTuple):
@@ -51,6 +51,8 @@ class PackReport:
     """What was packed."""
 
     path: Path
+    protocol: str
+    """Whose verdicts are `suc_*` and the metrics."""
     figures: Mapping[str, Any]
     """As in the manifest and the card."""
     unfinished: Mapping[str, int] = field(default_factory=dict)
@@ -79,7 +81,7 @@ def pack_runs(
     version: str,
     form: str = "both",
     licences: Licences = "nc-ok",
-    protocol: str = DEFAULT_PROTOCOL,
+    protocol: str | None = None,
     seed: int = 0,
     quiet: bool = False,
 ) -> PackReport:
@@ -92,13 +94,16 @@ def pack_runs(
         version: Its version, X.Y.Z.
         form: `both`, or `parquet` without the training form.
         licences: `permissive` leaves out objects under any other or an unknown licence.
-        protocol: Whose verdicts become `suc_*` and the metrics.
+        protocol: Whose verdicts become `suc_*` and the metrics; `paper-1` or the only one that
+            the runs have verdicts of when omitted.
         seed: Seed of the split into train and test.
         quiet: No progress.
 
     Raises:
         BadValue: The name or version cannot be used.
-        NotUsable: Nothing to pack, runs that do not fit together, or a bad form or target.
+        NotUsable: Nothing to pack, runs that do not fit together, a bad form or target, or
+            verdicts of several protocols and no saying which.
+        UnknownName: No run has verdicts of the protocol.
     """
     from bidexdata.formats.release import write_release
     from bidexdata.formats.writer import check_names
@@ -112,6 +117,8 @@ def pack_runs(
     if not ids:
         raise NotUsable("there is nothing to pack: no run has finished rows of a usable object")
     tests = sorted({t for r in runs for t in r.finished.tests})
+    named = " ".join(str(r.run.path) for r in runs)
+    protocol = chosen_protocol(named, tests, protocol) or DEFAULT_PROTOCOL
     untested: Counter[str] = Counter()
 
     def rows_of(object_id: str) -> Iterator[ReleaseRows]:
@@ -147,6 +154,7 @@ def pack_runs(
     ]
     return PackReport(
         summary.path,
+        protocol,
         summary.figures,
         {k: v for k, v in unfinished.items() if v},
         sum(1 for n in untested.values() if n),

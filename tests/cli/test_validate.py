@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import json
+import shutil
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bidexdata import Release, Run
+from bidexdata import BiDexDataset, Release, Run
 from bidexdata.cli.main import run
-from bidexdata.runs.shards import read_mark, shard_path
+from bidexdata.cli.report import validate_again
+from bidexdata.config import to_plain
+from bidexdata.errors import ConfigConflict
+from bidexdata.runs.browse import open_browsable
+from bidexdata.runs.run import PROTOCOL_FILE, verdict_batch, verdict_fingerprint
+from bidexdata.runs.shards import read_mark, shard_path, write_shard
+from bidexdata.validation import load_protocol
+from bidexdata.validation.protocols import Engine
 
 SMALL = (
     *("--hand", "capsule", "--sizes", "0.3", "--grasps", "2", "--candidates", "4"),
@@ -162,6 +172,120 @@ def test_what_cannot_be_done_is_one_sentence(floating, capsys, words, code, says
     error = capsys.readouterr().err
     assert says in error
     assert "Traceback" not in error
+
+
+WARP = ("--backend", "mujoco_warp", "--device", "cpu")
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--backend", "bullet"], "known: mujoco, mujoco_warp"),
+        (["--backend", "mujoco_warp"], "no device is called 'cuda:0' here"),
+        (["--backend", "mujoco_warp", "--device", "cuda:99"], "this machine has: cpu"),
+        (["--device", "cuda:0"], "--backend mujoco_warp"),
+        ([*WARP, "--load-margin"], "no load margin"),
+        ([*WARP, "--replay", "0" * 16], "leave out --backend"),
+        ([*WARP, "--executor", "ray"], "--executor processes or inline"),
+        ([*WARP, "--protocol", "dexgraspbench-1"], "'dexgraspbench-1' sets load"),
+        (["--protocol", "paper-1-warp"], "--protocol paper-1 --backend mujoco_warp"),
+        (["--set", "engine.device=cuda"], "engine"),
+    ],
+)
+def test_what_another_engine_cannot_do_is_one_sentence(floating, capsys, words, says):
+    pytest.importorskip("mujoco_warp", reason="needs the extra gpu")
+    if "cuda:0" in says and Path("/dev/nvidia0").exists():
+        pytest.skip("this machine has a GPU")
+    before = sorted(floating.rglob("*.arrow"))
+    assert run(["validate", str(floating), *words]) == 3
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert error.count("\n") == 1
+    assert says in error
+    assert sorted(floating.rglob("*.arrow")) == before
+
+
+def test_a_missing_extra_is_named_with_the_line_that_installs_it(floating, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco_warp", None)
+    assert run(["validate", str(floating), *WARP]) == 3
+    assert "pip install 'bidexdata[gpu]'" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def judged_by_another(library: Path) -> Path:
+    """A run whose only verdicts bear the mark of another engine; no GPU made them."""
+    folder = made(library, "another")
+    opened = Run.open(folder)
+    paper = load_protocol("paper-1")
+    engine = Engine(device="cuda", mujoco_warp="4.0.0", warp="1.19.0")
+    other = replace(paper, name="paper-1-warp", engine=engine)
+    assert run(["validate", str(folder), *INLINE]) == 0
+    settings = folder / "validate" / other.name / PROTOCOL_FILE
+    settings.parent.mkdir()
+    settings.write_text(json.dumps(to_plain(other)))
+    for task in opened.tasks:
+        batch = opened.task_batch(task)
+        columns = opened.task_verdicts(task, batch, "paper-1", "f")
+        verdicts = verdict_batch(batch.header, batch["grasp_id"], columns)
+        path = shard_path(opened.stage_folder("validate", other.name, "f"), task.task_id)
+        write_shard(path, verdicts.to_arrow(), verdict_fingerprint(opened, other, "f"))
+    shutil.rmtree(folder / "validate" / "paper-1")
+    return folder
+
+
+def test_everything_that_shows_verdicts_shows_whose_they_are(judged_by_another, tmp_path, capsys):
+    folder, release = str(judged_by_another), tmp_path / "release"
+    assert run(["info", folder]) == 0
+    assert "test f of paper-1-warp: selected" in capsys.readouterr().out
+    for place in (folder, str(release)):
+        if place != folder:
+            names = ("--name", "x", "--version", "1.0.0")
+            assert run(["pack", folder, "--out", str(release), *names]) == 0
+            assert "test f of paper-1-warp: selected" in capsys.readouterr().out
+        assert run(["table", place, "--out", str(tmp_path / "t.csv"), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["protocol"] == "paper-1-warp"
+        assert open_browsable(place).protocol == "paper-1-warp"  # of the viewer and of sheets
+    opened = Release.open(release)
+    assert opened.default_protocol == "paper-1-warp"
+    assert opened.protocol_settings["paper-1-warp"]["engine"]["mujoco_warp"] == "4.0.0"
+    assert "protocol `paper-1-warp`" in (release / "DATASET_CARD.md").read_text()
+    assert "suc_* by paper-1-warp" in repr(BiDexDataset(release, points=16))
+    assert run(["verify", str(release), "--full"]) == 0
+    assert "not judged again, for paper-1-warp" in capsys.readouterr().out
+
+
+def test_a_release_is_packed_for_the_protocol_asked_for(judged_by_another, tmp_path, capsys):
+    folder = tmp_path / "both"
+    shutil.copytree(judged_by_another, folder)
+    words = ("--set", "name=brief-1", "--set", "hold=0.3")
+    library = str(Run.open(judged_by_another).library.path)
+    spec = json.loads((folder / "run.json").read_text())
+    spec["source"] = library
+    (folder / "run.json").write_text(json.dumps(spec))
+    assert run(["validate", str(folder), *words, *INLINE]) == 0
+    pack = ["pack", str(folder), "--name", "x", "--version", "1.0.0", "--out"]
+    assert run([*pack, str(tmp_path / "a")]) == 3
+    assert "say which with --protocol: brief-1, paper-1-warp" in capsys.readouterr().err
+    assert run([*pack, str(tmp_path / "b"), "--protocol", "none-1"]) == 3
+    assert run([*pack, str(tmp_path / "c"), "--protocol", "brief-1", "--quiet"]) == 0
+    assert Release.open(tmp_path / "c").default_protocol == "brief-1"
+
+
+def test_a_shard_of_one_engine_is_never_read_as_the_other_s(judged_by_another, tmp_path):
+    folder = tmp_path / "mixed"
+    shutil.copytree(judged_by_another, folder)
+    (folder / "validate" / "paper-1-warp").rename(folder / "validate" / "paper-1")
+    (folder / "validate" / "paper-1" / "protocol.json").unlink()
+    with pytest.raises(ConfigConflict, match="fingerprint"):
+        list(Run.open(folder).batches("paper-1", "f"))
+
+
+def test_partly_validated_rows_name_the_command_of_their_own_engine():
+    assert validate_again("run", "paper-1") == "bidexdata validate run"
+    assert validate_again("run", "mine-1") == "bidexdata validate run --protocol mine-1"
+    engine = "--backend mujoco_warp"
+    assert validate_again("run", "paper-1-warp") == f"bidexdata validate run {engine}"
+    assert validate_again("run", "m-warp") == f"bidexdata validate run --protocol m {engine}"
 
 
 def test_a_replay_is_filmed_as_mp4_only(floating, tmp_path, capsys):
