@@ -3,34 +3,31 @@
 from __future__ import annotations
 
 import importlib
-import json
 import sys
 from pathlib import Path
 
 from benchmarks.machine import describe_machine
+from benchmarks.report import RESULTS, report
 
-SCRIPTS = ("prepare", "regions", "synthesis", "validation", "loader")
-RESULTS = Path(__file__).parent / "results"
+SCRIPTS = ("prepare", "regions", "synthesis", "validation", "loader", "gpu")
 
 
 def main(names: list[str]) -> int:
-    """Measure, print and save one JSON file per script."""
+    """Measure, print and save one JSON file per script; skip what this machine cannot run."""
     unknown = sorted(set(names) - set(SCRIPTS))
     if unknown:
         print(
             f"no benchmark is called {unknown[0]!r}; known: {', '.join(SCRIPTS)}", file=sys.stderr
         )
         return 2
-    RESULTS.mkdir(exist_ok=True)
-    machine = describe_machine()
-    print("machine: " + ", ".join(f"{k} {v}" for k, v in machine.items()))
+    print("machine: " + ", ".join(f"{k} {v}" for k, v in describe_machine().items()))
     for name in names or SCRIPTS:
-        figures = importlib.import_module(f"benchmarks.{name}").measure()
-        for key, value in figures.items():
-            shown = f"{value:.4g}" if isinstance(value, float) else value
-            print(f"{name:>12}  {key}: {shown}", flush=True)
-        target = RESULTS / f"{name}.json"
-        target.write_text(json.dumps({"machine": machine, **figures}, indent=2) + "\n")
+        script = importlib.import_module(f"benchmarks.{name}")
+        reason = script.missing() if hasattr(script, "missing") else ""
+        if reason:
+            print(f"{name:>12}  skipped: {reason}", flush=True)
+        else:
+            report(name, script.measure())
     print(
         f"saved in {RESULTS.relative_to(Path.cwd()) if RESULTS.is_relative_to(Path.cwd()) else RESULTS}"
     )

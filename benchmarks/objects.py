@@ -15,9 +15,14 @@ SIZES_MM = (300, 500, 800)
 
 
 @cache
+def prepared(family: str) -> PreparedObject:
+    """The object of a family."""
+    return prepare_object(f"shapes:{family}")
+
+
 def objects() -> tuple[PreparedObject, ...]:
     """One object of each family."""
-    return tuple(prepare_object(f"shapes:{family}") for family in FAMILIES)
+    return tuple(prepared(family) for family in FAMILIES)
 
 
 @cache
