@@ -11,14 +11,13 @@ import argparse
 import json
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from functools import cache
-from multiprocessing import get_context
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.rows import over_tasks, pool, task_rows
 from bidexdata import Run
-from bidexdata.record import Status
+from bidexdata.record import GraspBatch
 from bidexdata.validation import Execution, load_protocol, validate_grasps
 
 AUDIT = 300
@@ -38,14 +37,11 @@ class Pair(NamedTuple):
 def measure(path: str, test: str, protocol: str, workers: int = 2) -> dict[str, Any]:
     """Compare audit rows, then failing selected rows until enough fail."""
     run = Run.open(path)
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        audit = _run(pool, path, run, test, protocol, "audit")
-        pairs = audit[:AUDIT]
+    with pool(workers) as executor:
+        pairs = _pairs(executor, run, test, protocol, "audit")[:AUDIT]
         failing = sum(not p.plain for p in pairs)
         if failing < FAILING or len(pairs) < AUDIT:
-            spare = _run(pool, path, run, test, protocol, "failing")
-            seen = {p.grasp_id for p in pairs}
-            for pair in sorted(p for p in spare if p.grasp_id not in seen):
+            for pair in sorted(_pairs(executor, run, test, protocol, "failing")):
                 if failing >= FAILING and len(pairs) >= AUDIT:
                     break
                 pairs.append(pair)
@@ -62,24 +58,19 @@ def measure(path: str, test: str, protocol: str, workers: int = 2) -> dict[str, 
     }
 
 
-def _run(
-    pool: ProcessPoolExecutor, path: str, run: Run, test: str, protocol: str, which: str
+def _pairs(
+    executor: ProcessPoolExecutor, run: Run, test: str, protocol: str, which: str
 ) -> list[Pair]:
-    jobs = [pool.submit(_compare, path, i, test, protocol, which) for i in range(len(run.tasks))]
-    return [pair for job in jobs for pair in job.result()]
+    parts = over_tasks(executor, run, _compare, test, protocol, which)
+    return [pair for part in parts for pair in part]
 
 
 def _compare(path: str, number: int, test: str, protocol: str, which: str) -> list[Pair]:
-    run = _opened(path)
-    task = run.tasks[number]
-    batch = run.task_batch(task)
-    good = batch.synth_status == Status.OK
-    batch = batch.select(
-        good & (batch.audit if which == "audit" else batch.selected & ~batch.audit)
-    )
-    solid, hands, rules = run.load_solid(task.object_id), run.hands(), load_protocol(protocol)
+    batch, solid, hands = task_rows(path, number)
+    batch = batch.select(batch.audit if which == "audit" else batch.selected & ~batch.audit)
+    rules = load_protocol(protocol)
 
-    def success(rows: Any, *, quick: bool) -> np.ndarray:
+    def success(rows: GraspBatch, *, quick: bool) -> np.ndarray:
         how = Execution(early_stop=quick)
         return validate_grasps(rows, solid, hands, rules, test, execution=how)["success"]
 
@@ -90,11 +81,6 @@ def _compare(path: str, number: int, test: str, protocol: str, which: str) -> li
     return [
         Pair(str(i), bool(q), bool(p)) for i, q, p in zip(batch.grasp_id, quick, plain, strict=True)
     ]
-
-
-@cache
-def _opened(path: str) -> Run:
-    return Run.open(path)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

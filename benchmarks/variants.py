@@ -8,16 +8,13 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from functools import cache
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
 
+from benchmarks.rows import over_tasks, pool, task_rows
 from bidexdata import Run
 from bidexdata.config import with_overrides
-from bidexdata.record import Status
 from bidexdata.validation import Protocol, load_protocol, validate_grasps
 
 SHARED: dict[str, tuple[str, ...]] = {
@@ -65,13 +62,10 @@ def measure(path: str, test: str, rows: int, workers: int = 2) -> dict[str, Any]
     """Success and agreement with paper-1 of every variant on the first `rows` audit rows a task."""
     run = Run.open(path)
     found: dict[str, list[bool]] = {}
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        jobs = {
-            what: [pool.submit(_judge, path, i, test, rows, rules) for i in range(len(run.tasks))]
-            for what, rules in variants(test).items()
-        }
-        for what, parts in jobs.items():
-            found[what] = [v for part in parts for v in part.result()]
+    with pool(workers) as executor:
+        for what, rules in variants(test).items():
+            parts = over_tasks(executor, run, _judge, test, rows, rules)
+            found[what] = [v for part in parts for v in part]
     base = np.array(found["paper-1"])
     return {
         "run": run.fingerprint,
@@ -83,22 +77,12 @@ def measure(path: str, test: str, rows: int, workers: int = 2) -> dict[str, Any]
 
 
 def _judge(path: str, number: int, test: str, rows: int, rules: Protocol) -> list[bool]:
-    run = _opened(path)
-    task = run.tasks[number]
-    batch = run.task_batch(task)
-    batch = batch.select(batch.audit & (batch.synth_status == Status.OK))
+    batch, solid, hands = task_rows(path, number)
+    batch = batch.select(batch.audit)
     keep = np.linspace(0, len(batch) - 1, min(rows, len(batch))).round().astype(int)
     chosen = np.zeros(len(batch), bool)
     chosen[keep] = True
-    out = validate_grasps(
-        batch.select(chosen), run.load_solid(task.object_id), run.hands(), rules, test
-    )
-    return out["success"].tolist()
-
-
-@cache
-def _opened(path: str) -> Run:
-    return Run.open(path)
+    return validate_grasps(batch.select(chosen), solid, hands, rules, test)["success"].tolist()
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -11,21 +11,20 @@ from bidexdata.record.status import TestStage
 from bidexdata.simulation.scene import SimScene
 from bidexdata.simulation.state import set_pose
 
+from .checks import check, reference, touches_object
 from .margin import largest_multiple
 from .protocols import Protocol
+from .rest import is_firm
 from .stages import (
     Execution,
     Grasp,
     Phase,
     Watch,
-    check,
     clear_load,
     close_hands,
     hold,
     lift_hands,
-    reference,
     set_load,
-    touches_object,
 )
 from .verdict import UNSTABLE, Verdict, closing_failure, hold_cause, start_overlap
 
@@ -110,6 +109,9 @@ def _lifted(
         phase = Phase(status, moved, turned, up_time)
         ended = TestStage.NONE if status is Status.OK else TestStage.LIFT
     else:
-        phase = hold(scene, protocol, protocol.lift_checks, wanted, execution, watch)
+        firm = execution.early_stop and is_firm(scene, protocol, execution.rest)
+        phase = hold(
+            scene, protocol, protocol.lift_checks, wanted, execution, firm=firm, watch=watch
+        )
         ended = TestStage.NONE if phase.status is Status.OK else TestStage.HOLD
     return _Lifted(ended, phase, touched, thrown, lifted)

@@ -7,18 +7,20 @@ control change, check or look at the rest rule; MuJoCo steps in between.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.frames import quat_angle, quat_rotate, quat_slerp
+from bidexdata.frames import quat_slerp
 from bidexdata.record import Status
 from bidexdata.simulation.scene import SimScene
-from bidexdata.simulation.state import object_pose, object_speed, set_targets
+from bidexdata.simulation.state import set_targets
 
+from .checks import Reference, check, instability
 from .protocols import Protocol
+from .rest import RestRules, rests
 
 FloatArray = NDArray[np.float64]
 
@@ -30,24 +32,14 @@ Watch = Callable[[str, SimScene], None]
 class Execution:
     """Choices of how to run a protocol that cost time or save it, and are no part of it.
 
-    The rest rule ends a load before its time when the object rests so well that it stays within
-    the limits to the end; `benchmarks/truth.py` compares its verdicts with plain runs.
+    An early stop ends a load when `rest` says that the object stays within the limits to its end;
+    `benchmarks/truth.py` compares its verdicts with plain runs.
     """
 
     early_stop: bool = True
-    """Accept a load before its time is over when the object rests by the rule below."""
-    rest_from: float = 0.06
-    """Time under the load at which the rule may first accept [s]."""
-    rest_every: float = 0.02
-    """Time between two looks [s]."""
-    rest_factor: float = 2.0
-    """Accept when drift + factor * speed * remaining time is below `rest_share` of the limit ..."""
-    rest_share: float = 0.8
-    """Share of both limits [-]."""
-    rest_speed: float = 0.003
-    """... and the object moves slower than this [m/s]: grips that creep faster may let go late ..."""
-    rest_turn: float = 0.02
-    """... and turns slower than this [rad/s]."""
+    """Accept a load before its time is over."""
+    rest: RestRules = field(default_factory=RestRules)
+    """When."""
     load_margin: bool = False
     """Measure the load margin too; it costs about ten times the verdict."""
     analytic: bool = False
@@ -78,19 +70,6 @@ class ControlPath(NamedTuple):
     """Of the hand roots, (T, H, 4)."""
     ctrl: FloatArray
     """Of all actuators of the model, (T, nu)."""
-
-
-class Reference(NamedTuple):
-    """Where the object should be: what a check compares with."""
-
-    pos: FloatArray
-    """Of the protocol's reference point [m], (3,)."""
-    quat: FloatArray
-    """(4,)."""
-
-    def raised(self, height: float) -> Reference:
-        """The same, `height` [m] higher."""
-        return Reference(self.pos + np.array([0.0, 0.0, height]), self.quat)
 
 
 class Phase(NamedTuple):
@@ -186,57 +165,14 @@ def _advance(
     return instability(scene, protocol) is None
 
 
-def touches_object(scene: SimScene) -> bool:
-    """Whether any hand is in contact with the object in the last step."""
-    owners = scene.geom_owner[scene.data.contact.geom].reshape(-1, 2)
-    of_object = owners == scene.object_owner
-    by_hand = (owners >= 0) & ~of_object
-    return bool((of_object.any(axis=1) & by_hand.any(axis=1)).any())
-
-
-def reference(scene: SimScene, protocol: Protocol) -> Reference:
-    """Where the protocol's reference point is now."""
-    pos, quat = object_pose(scene)
-    if protocol.reference == "source_origin":
-        pos = pos + quat_rotate(quat, scene.source_origin)
-    return Reference(pos, quat)
-
-
-def check(scene: SimScene, protocol: Protocol, wanted: Reference) -> tuple[Status, float, float]:
-    """Compare the object with where it should be: status, displacement [m], angle [rad]."""
-    unstable = instability(scene, protocol)
-    if unstable is not None:
-        return unstable, np.nan, np.nan
-    now = reference(scene, protocol)
-    moved = float(np.linalg.norm(now.pos - wanted.pos))
-    turned = float(quat_angle(now.quat, wanted.quat[None])[0])
-    if not moved < protocol.limit_pos:
-        return Status.SLIP, moved, turned
-    if not turned < protocol.limit_rot:
-        return Status.TURNED, moved, turned
-    return Status.OK, moved, turned
-
-
-def instability(scene: SimScene, protocol: Protocol) -> Status | None:
-    """How the simulation has broken, None while all is well.
-
-    UNSTABLE where MuJoCo warned or a number is not finite, BLOWN_UP where something flies faster
-    than is possible.
-    """
-    data = scene.data
-    if np.any(data.warning.number) or not np.isfinite(data.qpos).all():
-        return Status.UNSTABLE
-    roots = [*scene.root_qvel, scene.object_qvel]
-    speeds = np.linalg.norm(np.array([data.qvel[a : a + 3] for a in roots]), axis=1)
-    return None if bool((speeds < protocol.unstable_speed).all()) else Status.BLOWN_UP
-
-
 def hold(
     scene: SimScene,
     protocol: Protocol,
     checks: int,
     wanted: Reference,
     execution: Execution,
+    *,
+    firm: bool = False,
     watch: Watch | None = None,
 ) -> Phase:
     """Hold under the load that is on, from the scene's present state.
@@ -247,10 +183,13 @@ def hold(
         checks: Number of checks.
         wanted: Where the object should be.
         execution: Whether rest may end the phase early.
+        firm: What `rest.is_firm` said of the grasp.
         watch: Looks on.
     """
-    look = max(1, round(execution.rest_every / scene.model.opt.timestep))
-    stops = execution.early_stop
+    timestep = scene.model.opt.timestep
+    rules, stops = execution.rest, execution.early_stop
+    look = max(1, round(rules.every / timestep))
+    first = round(rules.start / timestep)
     per_check = protocol.steps_per_check
     largest = [0.0, 0.0]
     step = 0
@@ -261,47 +200,23 @@ def hold(
             chunk = min(chunk, WATCH_STEPS)
         sane = _advance(scene, protocol, chunk, "hold", watch)
         step += chunk
-        time = step * scene.model.opt.timestep
         is_check = step % per_check == 0
-        if not (is_check or (stops and step % look == 0) or not sane):
+        may_stop = stops and step % look == 0 and step >= first
+        if not (is_check or may_stop or not sane):
             continue
         status, moved, turned = check(scene, protocol, wanted)
         if is_check or not sane:
             largest = [np.fmax(largest[0], moved), np.fmax(largest[1], turned)]
             if status is not Status.OK:
-                return Phase(status, float(largest[0]), float(largest[1]), time)
-        if stops and _rests(scene, protocol, execution, moved, turned, time, checks):
-            largest = [np.fmax(largest[0], moved), np.fmax(largest[1], turned)]
-            return Phase(Status.OK, float(largest[0]), float(largest[1]), time)
+                return Phase(status, float(largest[0]), float(largest[1]), step * timestep)
+        if may_stop:
+            left = checks * protocol.check_every - step * timestep
+            at = {"moved": moved, "turned": turned, "left": left}
+            if rests(scene, protocol, rules, firm=firm, **at):
+                largest = [np.fmax(largest[0], moved), np.fmax(largest[1], turned)]
+                return Phase(Status.OK, float(largest[0]), float(largest[1]), step * timestep)
     return Phase(Status.OK, float(largest[0]), float(largest[1]), checks * protocol.check_every)
 
 
 WATCH_STEPS = 10
 """Steps between two looks of a `Watch` while holding."""
-
-
-def _rests(
-    scene: SimScene,
-    protocol: Protocol,
-    execution: Execution,
-    moved: float,
-    turned: float,
-    time: float,
-    checks: int,
-) -> bool:
-    """Whether the object is so slow that it stays within the limits to the end of the load.
-
-    Source:
-        docs/measurements.md, 8, for the form; the bounds of speed are ours: `benchmarks/truth.py`
-        compares the rule with plain runs.
-    """
-    if time < execution.rest_from - 1e-9:
-        return False
-    linear, angular = object_speed(scene)
-    if linear >= execution.rest_speed or angular >= execution.rest_turn:
-        return False
-    left = execution.rest_factor * (checks * protocol.check_every - time)
-    return (
-        moved + left * linear < execution.rest_share * protocol.limit_pos
-        and turned + left * angular < execution.rest_share * protocol.limit_rot
-    )

@@ -326,7 +326,7 @@ class _Judge:
         done = (status != Status.OK) | (checks >= last)
         if self.execution.early_stop:
             left = last * protocol.check_every - time
-            done |= rests(self.scene, protocol, self.execution, qvel, moved, turned, time, left)
+            done |= rests(self.scene, protocol, qvel, moved, turned, left)
         held.status[task[done]] = status[done]
         held.time[task[done]] = time[done]
         return done

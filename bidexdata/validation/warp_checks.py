@@ -10,11 +10,19 @@ from bidexdata.record import Status
 from bidexdata.simulation.scene import SimScene
 
 from .protocols import Protocol
-from .stages import Execution
 from .warp_worlds import ContactOverflow, FloatArray, Worlds
 
 Flags = NDArray[np.bool_]
 Statuses = NDArray[np.int8]
+
+REST_SPEED = 0.003
+"""A load may end when the object moves slower than this [m/s] ..."""
+REST_TURN = 0.02
+"""... and turns slower than this [rad/s] ..."""
+REST_FACTOR = 2.0
+"""... and could keep this multiple of both to the end of the load ..."""
+REST_SHARE = 0.8
+"""... within this share of both limits [-]."""
 
 
 def advance(scene: SimScene, protocol: Protocol, worlds: Worlds, steps: int) -> Statuses:
@@ -96,33 +104,29 @@ def instability(
 def rests(
     scene: SimScene,
     protocol: Protocol,
-    rule: Execution,
     qvel: FloatArray,
     moved: FloatArray,
     turned: FloatArray,
-    time: FloatArray,
     left: FloatArray,
 ) -> Flags:
     """Whether objects are so slow that they stay within the limits to the end, (N,).
 
+    Friction cannot be halved for some worlds only, so there is no probe as in `rest.is_firm`.
+
     Args:
         scene: Where everything lies in a state.
         protocol: The limits.
-        rule: The rest rule.
         qvel: (N, nv).
         moved: Present displacement [m], (N,).
         turned: Present rotation [rad], (N,).
-        time: Since the start of the load [s], (N,).
-        left: To its end [s], (N,).
+        left: Time to the end of the load [s], (N,).
     """
     at = scene.object_qvel
     linear = np.linalg.norm(qvel[:, at : at + 3], axis=1)
     angular = np.linalg.norm(qvel[:, at + 3 : at + 6], axis=1)
-    reach = rule.rest_factor * left
     return (
-        (time > rule.rest_from - 1e-9)
-        & (linear < rule.rest_speed)
-        & (angular < rule.rest_turn)
-        & (moved + reach * linear < rule.rest_share * protocol.limit_pos)
-        & (turned + reach * angular < rule.rest_share * protocol.limit_rot)
+        (linear < REST_SPEED)
+        & (angular < REST_TURN)
+        & (moved + REST_FACTOR * left * linear < REST_SHARE * protocol.limit_pos)
+        & (turned + REST_FACTOR * left * angular < REST_SHARE * protocol.limit_rot)
     )
