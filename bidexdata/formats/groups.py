@@ -2,7 +2,7 @@
 
 Rows are the selected ones that one test was run on. What is kept of them is, for every group and
 object in it, a count of rows and of successes and the moments of each metric: nothing per grasp,
-about a kilobyte per object and size and per object and status. All sums are exact, so the order in
+about two kilobytes per object and size and per object and status. All sums are exact, so the order in
 which batches come, and how they are cut, changes nothing.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 from bidexdata.record import FIELDS, Header, Status
 from bidexdata.record.batch import fill_value
 from bidexdata.record.means import mean_interval
-from bidexdata.record.moments import NOTHING, Moments, merged, moments_of
+from bidexdata.record.moments import NOTHING, Moments, moments_of_runs
 from bidexdata.record.rates import clustered_interval
 
 BY = ("object", "size", "hand", "status")
@@ -41,7 +41,7 @@ class Cell(NamedTuple):
     def joined(self, other: Cell) -> Cell:
         """Join the cells of disjoint rows."""
         pairs = zip(self.moments, other.moments, strict=True)
-        moments = tuple(merged(pair) for pair in pairs)
+        moments = tuple(a.plus(b) for a, b in pairs)
         return Cell(self.rows + other.rows, self.passed + other.passed, moments)
 
 
@@ -71,17 +71,23 @@ class GroupTally:
         """
         if not len(object_id):
             return
-        keys = np.stack(
-            [np.unique(object_id, return_inverse=True)[1], size_mm, verdict["verdict_status"]]
-        )
-        for key in np.unique(keys, axis=1).T:
-            rows = np.flatnonzero((keys == key[:, None]).all(axis=0))
-            moments = tuple(_measured(name, verdict, rows) for name in METRICS)
-            cell = Cell(len(rows), int(np.count_nonzero(passed[rows])), moments)
-            obj, status = str(object_id[rows[0]]), Status(int(key[2])).label
-            for by, group in zip(BY, (obj, str(int(key[1])), hand, status), strict=True):
+        objects, number = np.unique(object_id, return_inverse=True)
+        keys = np.stack([number, size_mm, verdict["verdict_status"]])
+        order = np.lexsort(keys)
+        keys, passed = keys[:, order], passed[order]
+        # Rows of one object, size and status now stand together.
+        starts = [0, *(np.flatnonzero(np.diff(keys, axis=1).any(axis=0)) + 1).tolist()]
+        moments = [_measured(name, verdict, order, starts) for name in METRICS]
+        ends = [*starts[1:], len(order)]
+        for i, (first, last) in enumerate(zip(starts, ends, strict=True)):
+            wins = int(np.count_nonzero(passed[first:last]))
+            cell = Cell(last - first, wins, tuple(runs[i] for runs in moments))
+            obj, size, status = (int(key) for key in keys[:, first])
+            name = str(objects[obj])
+            groups = (name, str(size), hand, Status(status).label)
+            for by, group in zip(BY, groups, strict=True):
                 known = self._cells[by][group]
-                known[obj] = known[obj].joined(cell) if obj in known else cell
+                known[name] = known[name].joined(cell) if name in known else cell
 
     def metrics(self) -> dict[str, Any]:
         """The mean of every metric over all rows, by name."""
@@ -129,8 +135,11 @@ def _means(cells: list[Cell]) -> dict[str, Any]:
     return found
 
 
-def _measured(name: str, verdict: Mapping[str, np.ndarray], rows: np.ndarray) -> Moments:
-    if name not in verdict:
-        return NOTHING
-    values, missing = verdict[name][rows], fill_value(FIELDS[name])
-    return moments_of(values if np.isnan(missing) else values[values != missing])
+def _measured(
+    name: str, verdict: Mapping[str, np.ndarray], order: np.ndarray, starts: list[int]
+) -> list[Moments]:
+    """The moments of one metric for every run of rows, rows taken in `order`."""
+    values, missing = verdict.get(name), fill_value(FIELDS[name])
+    if values is None or not (known := np.isfinite(values) & (values != missing)).any():
+        return [NOTHING] * len(starts)
+    return moments_of_runs(np.where(known, values, np.nan)[order], starts)

@@ -7,7 +7,8 @@ both sums are kept as integers in these units. Nothing is rounded before a mean 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -36,25 +37,43 @@ class Moments(NamedTuple):
         """n^2 times the variance over n, in the units of `squares`: 0 exactly where all are equal."""
         return self.n * self.squares - self.total**2
 
+    def plus(self, other: Moments) -> Moments:
+        """Join with the moments of a disjoint set."""
+        if not self.n or not other.n:
+            return other if not self.n else self
+        return Moments(self.n + other.n, self.total + other.total, self.squares + other.squares)
+
 
 NOTHING = Moments()
 
 
 def moments_of(values: ArrayLike) -> Moments:
     """Take the moments of float32 numbers; NaN and infinities are left out."""
+    return moments_of_runs(values, [0])[0]
+
+
+def moments_of_runs(values: ArrayLike, starts: Sequence[int]) -> list[Moments]:
+    """Take the moments of runs of float32 numbers that stand one after the other.
+
+    Args:
+        values: The numbers; NaN and infinities are left out.
+        starts: Where each run begins, the first at 0.
+    """
     numbers = np.asarray(values, np.float32).astype(np.float64)
-    numbers = numbers[np.isfinite(numbers)]
-    if not len(numbers):
-        return NOTHING
+    finite = np.isfinite(numbers)
+    numbers = np.where(finite, numbers, 0.0)
     # Both products are exact in float64: 24 bits scaled, and 48 bits scaled.
-    total = sum(map(int, (numbers * 2.0**UNIT).tolist()))
-    squares = sum(map(int, (numbers * numbers * 2.0 ** (2 * UNIT)).tolist()))
-    return Moments(len(numbers), total, squares)
+    units = [int(v) for v in (numbers * 2.0**UNIT).tolist()]
+    squares = [int(v) for v in (numbers * numbers * 2.0 ** (2 * UNIT)).tolist()]
+    counts = finite.tolist()
+    found = []
+    for first, last in zip(starts, [*starts[1:], len(units)], strict=True):
+        n = sum(counts[first:last])
+        run = Moments(n, sum(units[first:last]), sum(squares[first:last]))
+        found.append(run if n else NOTHING)
+    return found
 
 
 def merged(parts: Iterable[Moments]) -> Moments:
     """Join the moments of disjoint sets."""
-    n = total = squares = 0
-    for part in parts:
-        n, total, squares = n + part.n, total + part.total, squares + part.squares
-    return Moments(n, total, squares) if n else NOTHING
+    return reduce(Moments.plus, parts, NOTHING)
