@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bidexdata.cli.report import counts_text, millimetres, percent, share, table
+from bidexdata.cli.report import counts_text, percent, share, table
 
 KEPT_MEANS = "kept = selected grasps / grasps wanted"
 LEGEND = (
@@ -45,8 +45,7 @@ def figure_lines(
         ]
     if tested:
         lines.append(
-            f"means over selected: PD {millimetres(figures['pd'])}, "
-            f"SPD {millimetres(figures['spd'])}, CDC {millimetres(figures['cdc'])}; "
+            f"means over selected: {_lengths(figures)}; "
             f"D {share(figures['d'])} (scale-free {share(figures['d_scale_free'])})"
         )
     else:
@@ -56,6 +55,18 @@ def figure_lines(
     legend = LEGEND if tested else KEPT_MEANS
     known = figures["kept"] is not None
     return [*lines, *_by_size(figures, list(tested)), *([legend] if known else [])]
+
+
+def _lengths(figures: Mapping[str, Any]) -> str:
+    """`PD 0.90 mm (0.81-1.02), SPD ...`; figures of older releases have no intervals."""
+    from bidexdata.formats.metric_text import metric_text
+
+    every = (test.get("metrics") for test in figures["tests"].values())
+    metrics = next(filter(None, every), {})
+    return ", ".join(
+        f"{name.upper()} {metric_text(name, metrics.get(name, {'mean': figures[name]}), unit=True)}"
+        for name in ("pd", "spd", "cdc")
+    )
 
 
 def _by_size(figures: Mapping[str, Any], tests: list[str]) -> list[str]:

@@ -9,11 +9,18 @@ import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.figures import figure_lines
-from bidexdata.cli.report import counts_text, finish, no_scene_text, validate_again
+from bidexdata.cli.groups import group_lines
+from bidexdata.cli.report import command, counts_text, finish, no_scene_text, validate_again
 
 
 def info(
     path: Annotated[Path, typer.Argument(metavar="PATH", help="A library, a run or a release.")],
+    by: Annotated[
+        str | None,
+        typer.Option(
+            help="object, size, hand or status: a table of every metric's mean per group instead."
+        ),
+    ] = None,
     as_json: options.Json = False,
     quiet: options.Quiet = False,
     debug: options.Debug = False,
@@ -31,12 +38,16 @@ def info(
     scene could be made of), sizes_mm, grasps, candidates, seed, objects, tasks, done (per stage),
     made_with (per stage: a list of tasks, device, device_name and package versions), figures,
     protocols; a release: name, version, schema_version, default_protocol, tests, splits, hands,
-    figures.
+    figures. With --by also: by, groups (per protocol, test and group: rows, objects, selected,
+    metrics).
     """
     from bidexdata.runs.info import describe
 
-    data = describe(path)
-    finish(data, _LINES[data["kind"]](data), as_json=as_json, quiet=quiet)
+    data = describe(path, by)
+    lines = _LINES[data["kind"]](data)
+    if by is not None:
+        lines = [lines[0], *group_lines(data)]
+    finish(data, lines, as_json=as_json, quiet=quiet)
 
 
 def _library_lines(data: dict[str, Any]) -> list[str]:

@@ -118,11 +118,6 @@ def share(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.1f} %"
 
 
-def millimetres(value: float | None) -> str:
-    """A length: `1.84 mm`."""
-    return "-" if value is None else f"{1000 * value:.2f} mm"
-
-
 def table(rows: list[list[str]]) -> list[str]:
     """Align columns; the first row is the head."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]

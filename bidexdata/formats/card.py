@@ -12,6 +12,8 @@ from typing import Any
 
 from bidexdata.formats import parquet
 from bidexdata.formats.figures import size_text
+from bidexdata.formats.groups import METRICS
+from bidexdata.formats.metric_text import metric_head, metric_text
 from bidexdata.objects.sources.item import UNKNOWN
 from bidexdata.record.rates import Rate
 
@@ -62,6 +64,9 @@ def _values(root: Path, head: Mapping[str, Any]) -> dict[str, Any]:
         "sides": ", ".join(h["side"] for h in header["hands"]),
         "rates": _rates(figures),
         "metrics": _metrics(figures),
+        "diversity": _share(figures["d"]),
+        "diversity_scale_free": _share(figures["d_scale_free"]),
+        "metrics_by_verdict": _metrics_by_verdict(figures),
         "by_size": _by_size(figures),
         "by_status": _counts(figures["by_status"], "status", "attempts"),
         "by_verdict": _counts(figures["by_verdict"], "verdict", "rows"),
@@ -93,20 +98,40 @@ def _by_size(figures: Mapping[str, Any]) -> str:
         rates = [
             rate_text(row[f"{kind}_{t}"]) for t in tests for kind in ("unselected", "selected")
         ]
-        metrics = [_millimetres(row[m]) for m in ("pd", "spd", "cdc")]
+        means = _measured_test(figures)["groups"]["size"].get(size, {}).get("metrics", {})
+        metrics = [metric_text(m, means.get(m)) for m in ("pd", "spd", "cdc")]
         rows.append([size_text(size), *rates, _share(row["kept"]), *metrics])
     return _markdown(head, rows)
 
 
 def _metrics(figures: Mapping[str, Any]) -> str:
-    named = {
-        "pd": "penetration depth PD",
-        "spd": "self-penetration depth SPD",
-        "cdc": "contact distance consistency CDC",
-    }
-    means = ", ".join(f"{text} {_millimetres(figures[k])} mm" for k, text in named.items())
-    spread = f"diversity D {_share(figures['d'])} (scale-free {_share(figures['d_scale_free'])})"
-    return f"{means}, {spread}"
+    rows = [
+        (metric_head(name), metric_text(name, mean), mean["n"], mean["objects"], mean["method"])
+        for name, mean in _measured_test(figures)["metrics"].items()
+    ]
+    head = ("metric", "mean", "rows", "objects", "interval")
+    return _markdown(head, rows) if rows else "Nothing was measured."
+
+
+def _metrics_by_verdict(figures: Mapping[str, Any]) -> str:
+    groups = _measured_test(figures)["groups"]["status"]
+    used = [m for m in METRICS if any(m in found["metrics"] for found in groups.values())]
+    rows = [
+        (
+            f"`{status}`",
+            found["rows"],
+            *(metric_text(m, found["metrics"].get(m)) for m in used),
+        )
+        for status, found in groups.items()
+    ]
+    head = ("verdict", "rows", *(metric_head(m) for m in used))
+    return _markdown(head, rows) if rows else "Nothing was measured."
+
+
+def _measured_test(figures: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The first test with measured rows; the metrics at the grasp do not depend on the test."""
+    tests = list(figures["tests"].values())
+    return next((test for test in tests if test["metrics"]), tests[0])
 
 
 def _counts(counts: Mapping[str, int], label: str, unit: str) -> str:
@@ -213,10 +238,6 @@ def _size_category(rows: int) -> str:
 
 def _share(value: float | None) -> str:
     return "not available" if value is None else f"{100 * value:.1f} %"
-
-
-def _millimetres(value: float | None) -> str:
-    return "-" if value is None else f"{1000 * value:.2f}"
 
 
 def _markdown(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:

@@ -1,10 +1,11 @@
-"""Figures of a set of grasps: counts, statuses, rates per size, means of the metrics.
+"""Figures of a set of grasps: counts, statuses, rates per size, means of the metrics per group.
 
 Definitions. N = grasps to keep per scene. *Unselected rate* = successes / N over the audit rows:
 every status other than OK is a failure, and a scene that could not fill its audit rows counts the
 missing ones as failures. *Selected rate* = successes / selected rows. *Kept share* = selected rows
 / (N x scenes); a scene of two runs counts twice here, and once among `scenes`. Rates count only rows
-of runs that were tested. Metrics are means over selected rows where they were measured.
+of runs that were tested. Metrics are means over selected rows where they were measured; `pd`,
+`spd` and `cdc` are those of the first test that was run (they do not depend on the test).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from bidexdata.formats.diversity import DiversityTally
+from bidexdata.formats.groups import BOUNDED, GroupTally, hands_label
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.rates import Rate, clustered_interval
 
@@ -25,7 +27,7 @@ METRIC_MEANS = ("pd", "spd", "cdc")
 class Tally:
     """Add batches of any size, then read `figures()`.
 
-    State: counts per (test, size, object), statuses, sums of metrics; nothing per grasp.
+    State: counts per (test, size, object), statuses, moments of metrics; nothing per grasp.
     """
 
     def __init__(self, tests: tuple[str, ...] = ("f",)):
@@ -37,7 +39,7 @@ class Tally:
         # (kind, test, size) -> object -> [successes, rows, rows wanted]
         self._trials: dict[tuple[str, str, int], dict[str, list[int]]] = defaultdict(dict)
         self._kept: dict[int, list[int]] = defaultdict(lambda: [0, 0])
-        self._metrics: dict[tuple[str, int], list[float]] = defaultdict(lambda: [0.0, 0])
+        self._groups = {t: GroupTally() for t in tests}
         self._diversity: dict[int | None, DiversityTally] = defaultdict(DiversityTally)
 
     def add(
@@ -78,14 +80,21 @@ class Tally:
         for test in self.tests:
             if test in verdicts:
                 self._verdicts[test].update(_labels(verdicts[test]["verdict_status"]))
-        measured = next((verdicts[t] for t in self.tests if t in verdicts), None)
-        if measured is not None:
-            self._add_metrics(batch["size_mm"], selected, measured)
+                self._groups[test].add(
+                    batch["object_id"][selected],
+                    batch["size_mm"][selected],
+                    hands_label(batch.header),
+                    _passed(batch, verdicts[test])[selected],
+                    {name: column[selected] for name, column in verdicts[test].items()},
+                )
 
     def figures(self) -> dict[str, Any]:
         """Plain data for cards, manifests and `--json`; keys are documented in docs/conventions.md."""
         sizes = sorted({size for _, size in self._scenes.values()})
         first = self.tests[0]
+        metrics = {test: found.metrics() for test, found in self._groups.items()}
+        groups = {test: {by: self.groups(test, by) for by in BOUNDED} for test in self.tests}
+        measured = next((test for test in self.tests if metrics[test]), first)
         out: dict[str, Any] = {
             "objects": len({obj for obj, _ in self._scenes.values()}),
             "scenes": len({scene for _, scene in self._scenes}),
@@ -95,7 +104,7 @@ class Tally:
             "by_status": dict(sorted(self._attempts.items())),
             "by_verdict": dict(sorted(self._verdicts[first].items())),
             "kept": _kept(self._kept.values()),
-            **self._means(sizes),
+            **_means(metrics[measured]),
             **self._spread(None),
             "by_size": {},
             "tests": {},
@@ -108,11 +117,14 @@ class Tally:
                 "selected": selected.to_dict(),
                 "unselected": unselected.to_dict(),
                 "by_verdict": dict(sorted(self._verdicts[test].items())),
+                "metrics": metrics[test],
+                "groups": groups[test],
             }
         for size in sizes:
+            group = groups[measured]["size"].get(str(size), {})
             out["by_size"][str(size)] = {
                 "kept": _kept([self._kept[size]]),
-                **self._means([size]),
+                **_means(group.get("metrics", {})),
                 **self._spread(size),
                 **{
                     f"{kind}_{test}": self._rate(kind, test, [size]).to_dict()
@@ -121,6 +133,10 @@ class Tally:
                 },
             }
         return out
+
+    def groups(self, test: str, by: str) -> dict[str, Any]:
+        """Figures of every group of the selected rows of a test; see `GroupTally.groups`."""
+        return self._groups[test].groups(by)
 
     def _note_scenes(self, batch: GraspBatch, run: str) -> tuple[dict[str, int], set[str]]:
         """Sizes of the scenes of a batch, and which of them this run had not touched before."""
@@ -142,7 +158,7 @@ class Tally:
         grasps: int | None,
     ) -> None:
         selected, audit = _flags(batch)
-        passed = verdict["success"] & (batch["synth_status"] == Status.OK)
+        passed = _passed(batch, verdict)
         in_size = batch["size_mm"] == size
         scenes = [scene for scene, mm in touched.items() if mm == size]
         for obj in {_object_of(scene) for scene in scenes}:
@@ -160,26 +176,6 @@ class Tally:
         trials = self._trials[(kind, test, size)].setdefault(obj, [0, 0, 0])
         for i, value in enumerate((k, n, wanted)):
             trials[i] += value
-
-    def _add_metrics(
-        self, size_mm: np.ndarray, selected: np.ndarray, measured: Mapping[str, np.ndarray]
-    ) -> None:
-        for name in METRIC_MEANS:
-            value = measured[name].astype(np.float64)
-            use = selected & np.isfinite(value)
-            for size in np.unique(size_mm[use]):
-                here = value[use & (size_mm == size)]
-                pair = self._metrics[(name, int(size))]
-                pair[0] += float(here.sum())
-                pair[1] += len(here)
-
-    def _means(self, sizes: list[int]) -> dict[str, float | None]:
-        out: dict[str, float | None] = {}
-        for name in METRIC_MEANS:
-            pairs = [self._metrics[(name, s)] for s in sizes]
-            n = sum(p[1] for p in pairs)
-            out[name] = sum(p[0] for p in pairs) / n if n else None
-        return out
 
     def _spread(self, size: int | None) -> dict[str, float | None]:
         found = self._diversity[size].value()
@@ -210,6 +206,14 @@ def _flags(batch: GraspBatch) -> tuple[np.ndarray, np.ndarray]:
     selected = batch["selected"] if "selected" in batch else np.ones(n, bool)
     audit = batch["audit"] if "audit" in batch else np.zeros(n, bool)
     return selected, audit
+
+
+def _passed(batch: GraspBatch, verdict: Mapping[str, np.ndarray]) -> np.ndarray:
+    return verdict["success"] & (batch["synth_status"] == Status.OK)
+
+
+def _means(metrics: Mapping[str, Any]) -> dict[str, float | None]:
+    return {name: metrics[name]["mean"] if name in metrics else None for name in METRIC_MEANS}
 
 
 def _number(mask: np.ndarray) -> int:

@@ -6,6 +6,7 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bidexdata.errors import NotUsable, UnknownName
 from bidexdata.kinds import expect_kind
 from bidexdata.record import Status
 from bidexdata.runs.finished import Finished
@@ -14,25 +15,38 @@ from bidexdata.runs.run import Run
 from bidexdata.runs.shards import read_mark, shard_path
 
 if TYPE_CHECKING:
+    from bidexdata.formats.figures import Tally
     from bidexdata.formats.release import Release
     from bidexdata.objects.library import Library
 
 
-def describe(path: str | Path) -> dict[str, Any]:
+def describe(path: str | Path, by: str | None = None) -> dict[str, Any]:
     """Describe a library, a run or a release as plain data (the keys of `info --json`).
+
+    Args:
+        path: What to describe.
+        by: A grouping of `formats.groups.BY`: gives the figures of its groups too, as `groups`
+            (protocol, test, group).
 
     Raises:
         PathNotFound: There is none of the three.
+        UnknownName: There is no such grouping.
+        NotUsable: A library, which holds no grasps, is to be grouped.
         Contradiction: It is damaged.
     """
+    from bidexdata.formats.groups import BY
     from bidexdata.formats.release import Release
     from bidexdata.objects.library import Library
 
+    if by is not None and by not in BY:
+        raise UnknownName("grouping", by, BY)
     kind = expect_kind(path, "library", "run", "release")
     if kind == "release":
-        return describe_release(Release.open(path))
+        return describe_release(Release.open(path), by)
     if kind == "run":
-        return describe_run(Run.open(path))
+        return describe_run(Run.open(path), by)
+    if by is not None:
+        raise NotUsable(f"{path} is a library: it holds no grasps that --by {by} could group")
     return describe_library(Library.open(path))
 
 
@@ -59,14 +73,20 @@ def describe_library(library: Library) -> dict[str, Any]:
     }
 
 
-def describe_run(run: Run) -> dict[str, Any]:
-    """Progress per stage, and figures per protocol over all finished rows."""
+def describe_run(run: Run, by: str | None = None) -> dict[str, Any]:
+    """Progress per stage, and figures per protocol over all finished rows; groups if asked for."""
     spec, finished = run.spec, Finished.of(run)
     stages = {run.stage_folder("rows").name: len(finished.rows)}
     for (protocol, test), tasks in finished.verdicts.items():
         stages[f"validate/{protocol}/{test}"] = len(tasks)
     protocols = sorted({p for p, _ in finished.tests}) or [""]
-    figures = {p: run_figures(run, finished, p) for p in protocols}
+    tallies = {p: run_tally(run, finished, p) for p in protocols}
+    figures = {p: run_figures(run, finished, p, *counted) for p, counted in tallies.items()}
+    groups = {
+        p: {t: tally.groups(t, by) for t in tally.tests}
+        for p, (tally, _) in tallies.items()
+        if p and by is not None
+    }
     return {
         "kind": "run",
         "path": str(run.path),
@@ -87,6 +107,7 @@ def describe_run(run: Run) -> dict[str, Any]:
         "made_with": made_with_of(run, finished),
         "figures": figures[protocols[0]],
         "protocols": {p: found for p, found in figures.items() if p},
+        **({"by": by, "groups": groups} if by else {}),
     }
 
 
@@ -121,17 +142,27 @@ def made_with_of(run: Run, finished: Finished) -> dict[str, list[dict[str, Any]]
     return found
 
 
-def run_figures(run: Run, finished: Finished, protocol: str) -> dict[str, Any]:
-    """Figures of a run's finished rows; rates where all rows of an object are tested.
+def run_figures(
+    run: Run, finished: Finished, protocol: str, tally: Tally, untested: int
+) -> dict[str, Any]:
+    """What a run's rows come to; `tally` and `untested` are from `run_tally`."""
+    tested_rows, _ = count_tested(run, finished, protocol)
+    return {**tally.figures(), "untested_objects": untested, "tested_rows": tested_rows}
+
+
+def run_tally(run: Run, finished: Finished, protocol: str) -> tuple[Tally, int]:
+    """Count a run's finished rows; rates where all rows of an object are tested.
 
     The definitions are those of `formats.figures`, the same as in a release.
+
+    Returns:
+        The counts, and the number of objects whose rows are not all tested.
     """
     from bidexdata.formats.figures import Tally
 
     tests = tuple(t for p, t in finished.tests if p == protocol)
     tally = Tally(tests or ("f",))
     untested = 0
-    tested_rows, _ = count_tested(run, finished, protocol)
     for object_id in run.object_ids:
         rows = rows_of_object(run, finished, object_id, "", [(protocol, t) for t in tests])
         if rows is None:
@@ -139,11 +170,11 @@ def run_figures(run: Run, finished: Finished, protocol: str) -> dict[str, Any]:
         untested += len(rows.verdicts) < len(tests)
         verdicts = {t: columns for (_, t), columns in rows.verdicts.items()}
         tally.add(rows.batch, verdicts, grasps=run.spec.grasps)
-    return {**tally.figures(), "untested_objects": untested, "tested_rows": tested_rows}
+    return tally, untested
 
 
-def describe_release(release: Release) -> dict[str, Any]:
-    """Name, version and the figures that the manifest states."""
+def describe_release(release: Release, by: str | None = None) -> dict[str, Any]:
+    """Name, version and the figures that the manifest states; groups, if asked for, of the rows."""
     return {
         "kind": "release",
         "path": str(release.path),
@@ -155,4 +186,24 @@ def describe_release(release: Release) -> dict[str, Any]:
         "splits": {name: len(ids) for name, ids in release.splits.items()},
         "hands": [f"{h.name} ({h.side})" for h in release.hands],
         "figures": release.figures,
+        **({"by": by, "groups": release_groups(release, by)} if by else {}),
     }
+
+
+def release_groups(release: Release, by: str) -> dict[str, Any]:
+    """Figures of every group per protocol and test, from the selected rows, row group by row group.
+
+    The manifest states those of few groups only, and only of the default protocol.
+    """
+    from bidexdata.formats.groups import GroupTally, hands_label
+    from bidexdata.formats.verdict_rows import verdict_rows
+
+    found: dict[str, Any] = {}
+    for protocol, test in release.protocols:
+        tally = GroupTally()
+        for rows in verdict_rows(release, protocol, test):
+            tally.add(
+                rows.object_id, rows.size_mm, hands_label(release.header), rows.passed, rows.verdict
+            )
+        found.setdefault(protocol, {})[test] = tally.groups(by)
+    return found

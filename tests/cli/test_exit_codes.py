@@ -114,6 +114,7 @@ NAMED = [
     ([*PACK, "--licences", "any"], "nc-ok and permissive"),
     ([*PACK, "--split", "moon"], "by object"),
     ([*RENDER, "--only", "beauty"], "known: success, failure"),
+    (["info", "{tmp}", "--by", "beauty"], "known: object, size, hand, status"),
     ([*SYNTH, "--set", "regions.score=beauty"], "one of random, force, torque"),
     ([*SYNTH, "--config", "{tmp}/word.yaml"], "one of random, force, torque"),
     # a key that does not exist

@@ -438,6 +438,21 @@ def test_info_says_what_it_is_and_json_has_the_documented_keys(
         assert data["figures"]["tests"]["f"]["unselected"]["n"] == 2 * TASKS
 
 
+@pytest.mark.parametrize("by", ["object", "size", "hand", "status"])
+def test_a_run_and_its_release_have_the_same_groups(
+    by: str, whole: Path, release: Path, library: Path, capsys: pytest.CaptureFixture
+):
+    capsys.readouterr()
+    found = []
+    for path in (whole, release):
+        assert run(["info", str(path), "--by", by, "--json"]) == 0
+        found.append(json.loads(capsys.readouterr().out)["groups"])
+    assert found[0] == found[1]
+    assert sum(group["rows"] for group in found[0]["paper-1"]["f"].values()) == 2 * TASKS
+    assert run(["info", str(library), "--by", by]) == 3
+    assert "is a library" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", ["prepare", "synth", "validate"])
 def test_a_finished_command_repeats_at_once_and_its_json_has_the_documented_keys(
     name: str, whole: Path, library: Path, capsys: pytest.CaptureFixture

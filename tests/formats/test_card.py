@@ -6,8 +6,11 @@ import yaml
 from made_release import OBJECTS, made_object, made_release
 
 from bidexdata.formats.card import rate_text
+from bidexdata.formats.figures import size_text
+from bidexdata.formats.metric_text import metric_text
 from bidexdata.formats.release import Release
 from bidexdata.objects.sources.item import UNKNOWN
+from bidexdata.record import Status
 from bidexdata.record.rates import rate_interval
 
 
@@ -25,6 +28,29 @@ def test_the_card_states_the_rates_of_the_rows(packed):
     unselected = rate_interval(int(audit["success"].sum()), len(audit))
     assert f"| Unselected SUC-F | {unselected}, wilson |" in card
     assert f"| {len(batch)} |" in card
+
+
+def test_the_card_states_the_means_of_the_rows_with_their_intervals(packed):
+    release = Release.open(packed)
+    batch = release.grasps()
+    card = (packed / "DATASET_CARD.md").read_text()
+    stated = release.figures["tests"]["f"]
+    for status, found in stated["groups"]["status"].items():
+        ours = batch.select(batch["verdict_status"] == Status[status.upper()])
+        mean = 1000 * ours["pd"].astype(float).mean()
+        assert f"| `{status}` | {len(ours)} | {mean:.2f}" in card
+        assert found["metrics"]["pd"]["n"] == len(ours)
+    mean = metric_text("pd", stated["metrics"]["pd"])
+    assert f"| PD mm | {mean} | {len(batch)} | {len(OBJECTS)} | object t |" in card
+    for size, found in stated["groups"]["size"].items():
+        row = next(line for line in card.splitlines() if line.startswith(f"| {size_text(size)} |"))
+        assert metric_text("pd", found["metrics"]["pd"]) in row
+    assert not any(object_id in card for object_id in OBJECTS)
+
+
+def test_an_untested_release_has_a_card_without_means(tmp_path):
+    out = made_release(tmp_path / "r", OBJECTS[:1], tested=False)
+    assert "Nothing was measured." in (out / "DATASET_CARD.md").read_text()
 
 
 def test_nothing_is_left_to_fill_in(packed):

@@ -1,0 +1,48 @@
+"""Verdicts of a release's selected rows, streamed: what figures need, and no poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from bidexdata.errors import Contradiction
+from bidexdata.formats import parquet
+from bidexdata.formats.tables import VERDICT_COLUMNS
+from bidexdata.record import GraspBatch, Status
+
+if TYPE_CHECKING:
+    from bidexdata.formats.release import Release
+
+
+class VerdictRows(NamedTuple):
+    """Tested rows of one row group."""
+
+    object_id: np.ndarray
+    size_mm: np.ndarray
+    passed: np.ndarray
+    """Rows that count as successes."""
+    verdict: Mapping[str, np.ndarray]
+    """Columns that `validate` writes; an older release lacks some."""
+
+
+def verdict_rows(release: Release, protocol: str, test: str) -> Iterator[VerdictRows]:
+    """Yield the selected rows that a test was run on, one row group at a time.
+
+    Raises:
+        Contradiction: The verdict table has other rows than the grasps table.
+    """
+    names = ["grasp_id", "object_id", "size_mm", "synth_status"]
+    tables = ("grasps", f"verdicts/{protocol}-{test}")
+    for files in zip(*(release.table_files(t, "selected") for t in tables), strict=True):
+        streams = (parquet.read_groups(files[0], names), parquet.read_groups(files[1]))
+        for grasps, judged in zip(*streams, strict=True):
+            if not judged.column("grasp_id").equals(grasps.column("grasp_id")):
+                raise Contradiction(f"{files[1]}: rows are not those of {files[0]}")
+            tested = judged.column("success").is_valid()
+            batch = GraspBatch.from_arrow(grasps.filter(tested))
+            found = GraspBatch.from_arrow(judged.filter(tested))
+            verdict = {name: found[name] for name in VERDICT_COLUMNS if name in found}
+            passed = verdict["success"] & (batch["synth_status"] == Status.OK)
+            yield VerdictRows(batch["object_id"], batch["size_mm"], passed, verdict)

@@ -1,0 +1,64 @@
+"""`info --by`: one table row per group, and the same numbers in its JSON."""
+
+import json
+import re
+
+import pytest
+from made_release import made_release
+
+from bidexdata.cli.groups import LEGEND, TABLES, group_lines
+from bidexdata.cli.main import COMMANDS, run
+from bidexdata.formats.groups import BY, METRICS
+
+
+@pytest.fixture(scope="module")
+def release(tmp_path_factory):
+    return made_release(tmp_path_factory.mktemp("by") / "release")
+
+
+@pytest.mark.parametrize("by", BY)
+def test_every_group_has_its_rows_and_means(by, release, capsys):
+    assert run(["info", str(release), "--by", by]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert run(["info", str(release), "--by", by, "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert set(data) <= set(re.findall(r"\w+", COMMANDS["info"].__doc__ or ""))
+    groups = data["groups"]["paper-1"]["f"]
+    assert said[1] == f"test f of paper-1, by {by}"
+    assert said[-1] == LEGEND
+    heads = [i for i, line in enumerate(said) if line.startswith(f"{by} ")]
+    assert len(heads) == 3  # nothing was measured that only an option measures
+    assert all(heads[i + 1] - heads[i] == len(groups) + 1 for i in range(2))
+    name = {"size": "0.30 m", "status": "ok"}.get(by, next(iter(groups)))
+    first = said[heads[0] + 1]
+    assert first.startswith(f"{name}  ")
+    shown = groups["ok" if by == "status" else next(iter(groups))]
+    pd = shown["metrics"]["pd"]
+    assert f"{1000 * pd['mean']:.2f} ({1000 * pd['low']:.2f}-{1000 * pd['high']:.2f})" in first
+    assert ("%" in first) == (by != "status")
+
+
+def test_the_lines_of_info_give_the_intervals(release, capsys):
+    assert run(["info", str(release)]) == 0
+    said = capsys.readouterr().out
+    bound = r"\d+\.\d\d"
+    means = ", ".join(f"{m} {bound} mm \\({bound}-{bound}\\)" for m in ("PD", "SPD", "CDC"))
+    assert re.search(f"means over selected: {means}; D", said)
+
+
+def test_every_metric_has_a_place_in_one_table():
+    assert sorted(m for block in TABLES for m in block) == sorted(METRICS)
+
+
+def test_what_cannot_be_grouped_is_said():
+    assert group_lines({"by": "size", "groups": {}}) == ["not validated yet"]
+    half = {"by": "size", "groups": {"p": {"f": {}}}, "protocols": {"p": {"untested_objects": 2}}}
+    assert group_lines(half)[:2] == [
+        "test f of p: no object is tested completely yet",
+        "objects left out because not all their rows are tested: 2",
+    ]
+
+
+def test_a_grouping_that_is_not_there_is_named(release, capsys):
+    assert run(["info", str(release), "--by", "objekt"]) == 3
+    assert f"did you mean 'object'?); known: {', '.join(BY)}" in capsys.readouterr().err
