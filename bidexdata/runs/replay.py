@@ -163,7 +163,7 @@ def _draw(
     verdict: Verdict,
 ) -> None:
     from bidexdata.pictures.sheet import Caption
-    from bidexdata.pictures.simulated import simulation_camera, simulation_frame
+    from bidexdata.pictures.simulated import simulation_camera, simulation_frames
     from bidexdata.pictures.video import save_video
     from bidexdata.simulation.assembly import TABLE_GEOM
 
@@ -175,15 +175,16 @@ def _draw(
     passed = verdict.status is Status.OK
     outcome = f"passes test {test}" if passed else f"fails test {test}: {verdict.status.sentence}"
 
-    def frames():
+    def captions():
         for moment in moments:
             last = moment is moments[-1]
             words = f"{moment.time:5.2f} s  {moment.phase}"
-            caption = Caption(head, (words, outcome if last else ""), passed if last else None)
-            picture = simulation_frame(
-                moment.pose, solid, size, scene.hands, caption, camera, table=table
-            )
-            for _ in range(round(_LAST_SECONDS * FPS) if last else 1):
-                yield picture
+            yield Caption(head, (words, outcome if last else ""), passed if last else None)
+
+    def frames():
+        shown = zip((m.pose for m in moments), captions(), strict=True)
+        drawn = simulation_frames(shown, solid, size, scene.hands, camera, table=table)
+        for moment, picture in zip(moments, drawn, strict=True):
+            yield from [picture] * (round(_LAST_SECONDS * FPS) if moment is moments[-1] else 1)
 
     save_video(frames(), path, FPS)
