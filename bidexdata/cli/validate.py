@@ -75,9 +75,7 @@ def validate(
     execution = options.execution_of(executor, workers, shard, quiet)
     wanted: dict[Extra, bool] = {"load_margin": load_margin, "analytic": analytic}
     extras: list[Extra] = [name for name, asked in wanted.items() if asked]
-    _validate(
-        _run_of(path, out), rules, named, execution, extras, as_json=as_json, quiet=quiet
-    )
+    _validate(_run_of(path, out), rules, named, execution, extras, as_json=as_json, quiet=quiet)
 
 
 def _run_of(path: Path, out: Path | None) -> Run:
@@ -159,32 +157,29 @@ def _replay(
     quiet: bool,
 ) -> None:
     from bidexdata.kinds import expect_kind
+    from bidexdata.record.fields import DIRECTIONS
     from bidexdata.runs.replay import replay_grasp
     from bidexdata.runs.run import Run
     from bidexdata.runs.validate import allowed_tests
-    from bidexdata.validation.protocols import DIRECTIONS
 
     expect_kind(path, "run")
     run = Run.open(path)
     test = allowed_tests(run, rules, tests)[-1]
-    report = replay_grasp(run, grasp_id, rules, test, video)
+    report = replay_grasp(run, grasp_id, rules, test, video, quiet=quiet)
     v = report.verdict
     where = f" in load {DIRECTIONS[v.direction]}" if v.direction >= 0 else ""
-    failed = f" ({v.failed_stage.label}{where}, after {v.time:.2f} s)" if v.failed_stage >= 0 else ""
+    failed = (
+        f" ({v.failed_stage.label}{where}, after {v.time:.2f} s)" if v.failed_stage >= 0 else ""
+    )
     lines = [f"grasp {grasp_id}, test {test} of {rules.name}: {v.status.sentence}{failed}"]
     if report.stored is not None:
         lines.append(f"the run says: {report.stored}")
     if report.video is not None:
-        lines.append(f"{len(report.moments)} pictures in {report.video}")
+        lines.append(f"{report.frames} pictures in {report.video}")
     finish(report.as_dict(), lines, as_json=as_json, quiet=quiet)
 
 
-
-
-
-def _renamed(
-    protocol: Protocol, config: Path | None, assignments: list[str] | None
-) -> Protocol:
+def _renamed(protocol: Protocol, config: Path | None, assignments: list[str] | None) -> Protocol:
     """Change settings of a protocol; refuse to do that under its own name."""
     from bidexdata.errors import BadConfig
 

@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 
 from bidexdata.frames import matrix_from_quat
 from bidexdata.record import Status
+from bidexdata.record.fields import DIRECTIONS
 from bidexdata.record.status import TestStage
 from bidexdata.simulation.scene import SimScene
 from bidexdata.simulation.state import set_pose
 
 from .margin import largest_multiple
-from .protocols import DIRECTIONS, Protocol
+from .protocols import Protocol
 from .stages import (
     Execution,
     Grasp,

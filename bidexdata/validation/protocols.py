@@ -14,10 +14,9 @@ from typing import Any, Literal
 
 from bidexdata.config import from_plain, load_yaml, merge, to_plain
 from bidexdata.errors import BadConfig, NotUsable, UnknownName
+from bidexdata.record.fields import DIRECTIONS
 from bidexdata.simulation.settings import SceneSettings
 
-DIRECTIONS = ("+x", "-x", "+y", "-y", "+z", "-z")
-"""Loads in the order of the record's `direction`."""
 _NAME = re.compile(r"[a-z0-9][a-z0-9_.-]{0,63}")
 
 

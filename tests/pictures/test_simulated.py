@@ -23,7 +23,7 @@ from bidexdata.simulation.state import set_pose
 SIZE = 0.3
 # Rows hold poses in single precision.
 FLOAT32 = 1e-5
-WORDS = Caption("t = 0.10 s", ("closing", "not judged yet"), None)
+WORDS = Caption("t = 0.10 s", ("closing", "not judged yet"))
 
 
 @pytest.fixture(scope="module")
