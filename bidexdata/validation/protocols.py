@@ -70,6 +70,7 @@ class Protocol:
     """How grasps are tested and measured. Times are simulated seconds."""
 
     name: str
+    """Under which verdicts are stored; other settings need another."""
     description: str
     """One sentence for `bidexdata protocols`."""
     tests: tuple[str, ...] = ("f", "l")
