@@ -10,6 +10,7 @@ import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.report import command, counts_text, finish, refuse_nothing, warn_of_failed
+from bidexdata.wording import counted
 
 if TYPE_CHECKING:
     from bidexdata.runs.run import Run
@@ -125,10 +126,11 @@ def _validate(
             "seconds": round(report.seconds, 3),
         }
         if report.before == report.tasks:
-            lines.append(f"test {test} of {rules.name}: all {report.tasks} tasks were done before")
+            tasks = counted(report.tasks, "task")
+            lines.append(f"test {test} of {rules.name}: {tasks} done before, none open")
         else:
             lines.append(
-                f"test {test} of {rules.name}: {report.good} of {report.rows} rows pass "
+                f"test {test} of {rules.name}: {report.good} of {counted(report.rows, 'row')} passed "
                 f"({counts_text(report.by_status)}) in {report.seconds:.1f} s"
             )
         warn_of_failed(report, run.path)
@@ -175,7 +177,7 @@ def _replay(
     if report.stored is not None:
         lines.append(f"the run says: {report.stored}")
     if report.video is not None:
-        lines.append(f"{report.frames} pictures in {report.video}")
+        lines.append(f"{counted(report.frames, 'picture')} in {report.video}")
     finish(report.as_dict(), lines, as_json=as_json, quiet=quiet)
 
 

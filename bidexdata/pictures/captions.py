@@ -8,6 +8,7 @@ from bidexdata.objects.prepared import Solid
 from bidexdata.pictures.sheet import Caption
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.fields import DIRECTIONS
+from bidexdata.wording import counted
 
 
 def grasp_caption(tested: Mapping[str, GraspBatch], row: int) -> Caption:
@@ -61,8 +62,10 @@ def outcome_words(test: str, status: Status, direction: int = -1) -> str:
 def object_caption(solid: Solid) -> Caption:
     """Name, pieces and repair of one object."""
     known = solid.provenance
-    pieces = f"{len(solid.pieces)} convex piece{'s' if len(solid.pieces) != 1 else ''}"
-    made = [pieces, *(str(known[k]) for k in ("piece_method", "licence") if known.get(k))]
+    made = [
+        counted(len(solid.pieces), "convex piece"),
+        *(str(known[k]) for k in ("piece_method", "licence") if known.get(k)),
+    ]
     warnings = known.get("warnings") or ()
     lines = (" · ".join(made), str(warnings[0]) if warnings else "")
     return Caption(solid.object_id, lines)

@@ -220,7 +220,7 @@ def _grasp_frames(
     hands = source.hands() if chosen else ()
     frames: list[list[Tile]] = [[] for _ in (VIDEO_MOMENTS if video else (1,))]
     solid: Solid | None = None
-    with Progress(len(chosen), "grasps drawn", quiet=quiet) as progress:
+    with Progress(len(chosen), "grasp drawn", quiet=quiet) as progress:
         for shown in chosen:
             if solid is None or solid.object_id != shown.object_id:
                 solid = source.load_solid(shown.object_id)
@@ -255,7 +255,7 @@ def _object_tiles(
     from bidexdata.pictures.sheet import Tile
 
     tiles = []
-    with Progress(len(object_ids), "objects drawn", quiet=quiet) as progress:
+    with Progress(len(object_ids), "object drawn", quiet=quiet) as progress:
         for object_id in object_ids:
             solid = source.load_solid(object_id)
             pixels = draw_object(solid, width=WIDTH, height=HEIGHT, device=device)

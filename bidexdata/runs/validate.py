@@ -137,7 +137,7 @@ def _run_test(
             test,
             tuple(sorted(measured)),
         ),
-        unit="tasks",
+        unit="task",
         logs=run.path / "logs",
         execution=execution,
     )
