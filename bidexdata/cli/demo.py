@@ -10,6 +10,7 @@ import typer
 from bidexdata.cli import options
 from bidexdata.cli.figures import figure_lines
 from bidexdata.cli.report import command, finish, warn
+from bidexdata.wording import counted
 
 
 def demo(
@@ -49,7 +50,7 @@ def demo(
     verdicts = report.figures["tests"]["f"]["by_verdict"]
     passed, validated = verdicts.get("ok", 0), sum(verdicts.values()) - verdicts.get("not_run", 0)
     lines = [
-        f"{report.figures['n']} grasps synthesised, {validated} validated, {passed} pass the test",
+        f"{counted(report.figures['n'], 'row')} synthesised, {validated} validated, {passed} passed",
         *figure_lines(report.figures, PROTOCOL),
         "took " + ", ".join(f"{name} {s:.0f} s" for name, s in report.seconds.items()),
         f"pictures: open {report.sheet}",

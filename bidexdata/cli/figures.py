@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from bidexdata.cli.report import counts_text, percent, share, table
+from bidexdata.wording import counted
 
 KEPT_MEANS = "kept = selected grasps / grasps wanted"
 LEGEND = (
     f"{KEPT_MEANS}; selected = passed / kept grasps; unselected = passed / attempts drawn before "
     "any filter; PD, SPD = deepest overlap hand-object, within and between hands; "
-    "CDC = range of finger-object distances"
+    "CDC = range of finger-object distances; D = share of the grasps' variance in one direction, "
+    "small is diverse"
 )
 
 
@@ -25,11 +27,11 @@ def figure_lines(
         protocol: Whose verdicts they count; empty when nothing is validated.
         untested: What to say where no rate is defined.
     """
-    both = figures["selected_rows"] + figures["audit_rows"] - figures["n"]
-    of_both = f", {both} of them both" if both > 0 else ""
+    from bidexdata.formats.figures import rows_text
+
     lines = [
-        f"{figures['n']} grasps of {figures['objects']} objects in {figures['scenes']} scenes "
-        f"({figures['selected_rows']} selected, {figures['audit_rows']} audit{of_both})",
+        f"{rows_text(figures)} of {counted(figures['objects'], 'object')} "
+        f"in {counted(figures['scenes'], 'scene')}",
     ]
     if figures["by_status"]:  # nothing is known of the attempts behind imported rows
         lines.append(f"attempts (before any test): {counts_text(figures['by_status'])}")

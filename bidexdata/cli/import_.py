@@ -9,6 +9,7 @@ import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.report import command, counts_text, finish, warn_of_failed
+from bidexdata.wording import counted
 
 _SHOWN = 10
 """Failed files that are printed; all are in the run's files.parquet and in --json."""
@@ -85,10 +86,12 @@ def import_(
     told = [f for f in report.files if f.reason]
     lines = [f"{f.file}: {f.reason}" for f in told[:_SHOWN]]
     if len(told) > _SHOWN:
-        lines.append(f"... and {len(told) - _SHOWN} more files; --json and {out}/files.parquet")
+        more = counted(len(told) - _SHOWN, "more file")
+        lines.append(f"... and {more}; --json and {out}/files.parquet")
     statuses = counts_text({"read": len(report.files) - len(failed), "failed": len(failed)})
     lines.append(
-        f"{report.rows} grasps of {made} objects from {len(report.files)} files ({statuses}) in "
+        f"{counted(report.rows, 'grasp')} of {counted(made, 'object')} "
+        f"from {counted(len(report.files), 'file')} ({statuses}) in "
         f"{report.seconds:.1f} s"
     )
     finish(

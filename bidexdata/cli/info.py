@@ -10,7 +10,8 @@ import typer
 from bidexdata.cli import options
 from bidexdata.cli.figures import figure_lines
 from bidexdata.cli.groups import group_lines
-from bidexdata.cli.report import command, counts_text, finish, no_scene_text, validate_again
+from bidexdata.cli.report import counts_text, finish, no_scene_text, validate_again
+from bidexdata.wording import counted
 
 
 def info(
@@ -52,7 +53,8 @@ def info(
 
 def _library_lines(data: dict[str, Any]) -> list[str]:
     lines = [
-        f"{data['path']}: library of {data['objects']} objects from {data['inputs']} inputs "
+        f"{data['path']}: library of {counted(data['objects'], 'object')} "
+        f"from {counted(data['inputs'], 'input')} "
         f"({counts_text(data['by_status'])}; {data['hulls']} replaced by the hull)",
         f"fingerprint {data['fingerprint']}",
     ]
@@ -60,7 +62,10 @@ def _library_lines(data: dict[str, Any]) -> list[str]:
 
 
 def _run_lines(data: dict[str, Any]) -> list[str]:
-    asked = f"{data['grasps']} grasps of {data['candidates']} attempts per scene"
+    asked = (
+        f"{counted(data['grasps'] or 0, 'grasp')} of {counted(data['candidates'] or 0, 'attempt')} "
+        "per scene"
+    )
     if data["grasps"] is None:
         asked = "grasps as they came"
     sizes = ", ".join(f"{mm / 1000:g}" for mm in data["sizes_mm"])
@@ -72,24 +77,25 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
     if "files" in data:
         files = data["files"]
         lines.append(
-            f"imported from {files['read']} files; {files['failed']} files and "
-            f"{files['left_out']} grasps could not be used"
+            f"imported from {counted(files['read'], 'file')}; not usable: "
+            f"{counted(files['failed'], 'file')} and {counted(files['left_out'], 'grasp')}"
         )
     if data["without_scene"]:
         lines.append(no_scene_text(data["without_scene"]))
     for stage, done in data["done"].items():
-        lines.append(f"{stage}: {done} of {data['tasks']} tasks done")
+        lines.append(f"{stage}: {done} of {counted(data['tasks'], 'task')} done")
         lines += [_made_with_line(kind) for kind in data["made_with"][stage]]
     if not data["protocols"]:
         return lines + figure_lines(data["figures"])
     for protocol, figures in data["protocols"].items():
         again = validate_again(data["path"], protocol)
-        tested = f"{figures['tested_rows']} of {figures['n']} rows"
+        tested = f"{figures['tested_rows']} of {counted(figures['n'], 'row')}"
         lines += figure_lines(figures, protocol, f"partly validated: {tested}; run {again} again")
         if figures["untested_objects"]:
             lines.append(
-                f"{figures['untested_objects']} objects are not tested completely by {protocol} "
-                f"({tested} are); the rates leave them out"
+                f"not tested completely by {protocol}: "
+                f"{counted(figures['untested_objects'], 'object')} (tested: {tested}), "
+                "which the rates leave out"
             )
     return lines
 
@@ -100,9 +106,9 @@ def _made_with_line(kind: dict[str, Any]) -> str:
     tasks, device = versions.pop("tasks"), versions.pop("device", "")
     name = versions.pop("device_name", "")
     if not device:
-        return f"  {tasks} tasks on a device that their shards do not name"
+        return f"  {counted(tasks, 'task')} on a device that the shards do not name"
     packages = ", ".join(f"{package} {number}" for package, number in versions.items())
-    return f"  {tasks} tasks on {device} ({name}) with {packages}"
+    return f"  {counted(tasks, 'task')} on {device} ({name}) with {packages}"
 
 
 def _release_lines(data: dict[str, Any]) -> list[str]:

@@ -36,12 +36,32 @@ def hands(
 
 
 def protocols(
-    as_json: options.Json = False, quiet: options.Quiet = False, debug: options.Debug = False
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[NAME]", help="A protocol or a YAML file: list every key that --set takes."
+        ),
+    ] = None,
+    as_json: options.Json = False,
+    quiet: options.Quiet = False,
+    debug: options.Debug = False,
 ) -> None:
-    """List the validation protocols.
+    """List the validation protocols, or every setting of one.
 
-    --json keys: protocols (a list of name, tests, description, settings).
+    With NAME: key, value, unit and meaning of everything that `bidexdata validate` takes with --set
+    and --config.
+
+    --json keys: protocols (a list of name, tests, description, settings); with NAME: name,
+    description, groups (a list of name, meaning, keys: key, value, unit, meaning, source).
     """
+    if name is None:
+        _list_protocols(as_json=as_json, quiet=quiet)
+    else:
+        description, groups = _protocol_keys(name)
+        _list_keys(name, description, groups, as_json=as_json, quiet=quiet)
+
+
+def _list_protocols(*, as_json: bool, quiet: bool) -> None:
     from bidexdata.config import to_plain
     from bidexdata.validation.protocols import load_protocol, protocol_names
 
@@ -56,6 +76,7 @@ def protocols(
         for p in known
     ]
     lines = table([[p.name, ",".join(p.tests), p.description] for p in known])
+    lines.append(f"every key of a protocol: {command('protocols', 'NAME')}")
     finish({"protocols": found}, lines, as_json=as_json, quiet=quiet)
 
 
@@ -82,7 +103,8 @@ def presets(
     if name is None:
         _list_presets(as_json=as_json, quiet=quiet)
     else:
-        _list_keys(name, as_json=as_json, quiet=quiet)
+        description, groups = _prepare_keys() if name == PREPARE else _preset_keys(name)
+        _list_keys(name, description, groups, as_json=as_json, quiet=quiet)
 
 
 def _list_presets(*, as_json: bool, quiet: bool) -> None:
@@ -107,8 +129,9 @@ def _list_presets(*, as_json: bool, quiet: bool) -> None:
     finish({"presets": found}, lines, as_json=as_json, quiet=quiet)
 
 
-def _list_keys(name: str, *, as_json: bool, quiet: bool) -> None:
-    description, groups = _prepare_keys() if name == PREPARE else _preset_keys(name)
+def _list_keys(
+    name: str, description: str, groups: list[ConfigGroup], *, as_json: bool, quiet: bool
+) -> None:
     data = {
         "name": name,
         "description": description,
@@ -120,10 +143,18 @@ def _list_keys(name: str, *, as_json: bool, quiet: bool) -> None:
     lines = [f"{name}: {description}"]
     rows = table([key.cells() for group in groups for key in group.keys])
     for group in groups:
-        lines += ["", f"{group.name}: {group.meaning}"]
+        lines += ["", f"{group.name}: {group.meaning}" if group.name else group.meaning]
         lines += ["  " + row for row in rows[: len(group.keys)]]
         rows = rows[len(group.keys) :]
     finish(data, lines, as_json=as_json, quiet=quiet)
+
+
+def _protocol_keys(name: str) -> tuple[str, list[ConfigGroup]]:
+    from bidexdata.cli.config_keys import config_groups
+    from bidexdata.validation.protocols import load_protocol
+
+    protocol = load_protocol(name)
+    return protocol.description, list(config_groups(protocol, meaning="the test"))
 
 
 def _prepare_keys() -> tuple[str, list[ConfigGroup]]:
@@ -145,6 +176,8 @@ def _preset_keys(name: str) -> tuple[str, list[ConfigGroup]]:
     reasons = {change.key: f"{name}: {change.reason}" for change in preset.changes}
     groups = []
     for group in config_groups(config):
-        keys = (k._replace(source=reasons.get(k.key, k.source) or source_of(k.key)) for k in group.keys)
+        keys = (
+            k._replace(source=reasons.get(k.key, k.source) or source_of(k.key)) for k in group.keys
+        )
         groups.append(group._replace(keys=tuple(keys)))
     return preset.sentence, groups

@@ -29,7 +29,8 @@ ConfigFile = Annotated[
     typer.Option(
         "--config",
         metavar="FILE",
-        help="YAML file with changes to the configuration, nested as `bidexdata presets NAME` shows.",
+        help="YAML file with changes to the configuration, nested as `bidexdata presets NAME` and "
+        "`bidexdata protocols NAME` show.",
     ),
 ]
 Assignments = Annotated[
@@ -38,7 +39,7 @@ Assignments = Annotated[
         "--set",
         metavar="KEY=VALUE",
         help="Change one key of it; may be repeated. The keys: `bidexdata presets default` for "
-        "synth, `bidexdata presets prepare` for prepare.",
+        "synth, `bidexdata presets prepare` for prepare, `bidexdata protocols paper-1` for validate.",
     ),
 ]
 Json = Annotated[

@@ -10,6 +10,7 @@ import typer
 from bidexdata.cli import options
 from bidexdata.cli.figures import figure_lines
 from bidexdata.cli.report import command, finish, validate_again, warn
+from bidexdata.wording import counted
 
 
 def pack(
@@ -64,14 +65,18 @@ def pack(
         quiet=quiet,
     )
     for unfinished, number in report.unfinished.items():
-        warn(f"run {unfinished}: {number} tasks are not done; their grasps are not in the release")
+        warn(
+            f"run {unfinished}: {counted(number, 'task is', 'tasks are')} not done; "
+            "the release lacks the grasps"
+        )
     for run in report.half_tested:
-        missing = f"run {run.name}: {run.rows - run.tested} of {run.rows} rows are not tested"
+        rows = counted(run.rows, "row")
+        missing = f"run {run.name}: {run.rows - run.tested} of {rows} not tested"
         warn(f"{missing}; run: {validate_again(run.path, report.protocol)}")
     if report.untested:
-        warn(f"{report.untested} objects are not validated completely and carry no verdicts")
+        warn(f"without verdicts, as not validated completely: {counted(report.untested, 'object')}")
     if report.left_out:
-        warn(f"{len(report.left_out)} objects left out for their licence")
+        warn(f"left out for the licence: {counted(len(report.left_out), 'object')}")
     data = {
         "release": str(report.path),
         "name": name,
@@ -86,7 +91,7 @@ def pack(
     finish(
         data,
         lines,
-        following=command("view", out),
+        following=command("verify", out),
         as_json=as_json,
         quiet=quiet,
     )

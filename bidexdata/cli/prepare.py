@@ -9,6 +9,7 @@ import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.report import command, counts_text, finish
+from bidexdata.wording import counted
 
 
 def prepare(
@@ -69,17 +70,17 @@ def prepare(
     failures = [{k: r[k] for k in ("source_name", "status_label", "reason")} for r in failed]
     if dry_run:
         lines = [str(r["source_name"]) for r in report.rows]
-        lines.append(f"{len(report.rows)} inputs; nothing was written")
+        lines.append(f"{counted(len(report.rows), 'input')}; nothing was written")
     else:
         lines = [f"{r['source_name']}: {r['reason']}" for r in failed]
         lines.append(
-            f"{report.prepared} of {len(report.rows)} inputs prepared "
+            f"{report.prepared} of {counted(len(report.rows), 'input')} prepared "
             f"({counts_text(report.by_status)}; {report.hulls} replaced by the hull) "
             f"in {report.seconds:.1f} s"
         )
     if report.waiting:
         lines.append(
-            f"part {shard}: {report.waiting} inputs of other parts are not done yet; "
+            f"part {shard}: {counted(report.waiting, 'input')} of other parts not done yet; "
             "the part that finishes last writes the index"
         )
     good = dry_run or report.prepared > 0 or report.waiting > 0

@@ -9,6 +9,7 @@ import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.report import command, finish
+from bidexdata.wording import counted
 
 
 def render(
@@ -61,6 +62,8 @@ def render(
         device=device,
         quiet=quiet,
     )
-    shown = f"{len(report.shown)} {'objects' if report.kind == 'library' else 'grasps'}"
+    objects = report.kind == "library"
+    shown = counted(len(report.shown), "object" if objects else "grasp")
     lines = [f"{report.out}: {shown}, {report.drawn_by}, {report.seconds:.1f} s"]
-    finish(report.as_dict(), lines, following=command("view", path), as_json=as_json, quiet=quiet)
+    following = command("synth", path, "--out", "RUN") if objects else command("view", path)
+    finish(report.as_dict(), lines, following=following, as_json=as_json, quiet=quiet)

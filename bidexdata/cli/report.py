@@ -9,9 +9,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bidexdata.wording import counted
+
 if TYPE_CHECKING:
     from bidexdata.record import GraspBatch
     from bidexdata.runs.stage import StageReport
+
+
+_WIDEST = 44
+"""Longest cell that widens its column."""
 
 
 def finish(
@@ -67,7 +73,7 @@ def warn_of_failed(report: StageReport, run: Path) -> None:
     """Say on standard error how many tasks failed, why the first did, and what to do."""
     if report.failures:
         warn(
-            f"{len(report.failures)} of {report.tasks} tasks failed "
+            f"{len(report.failures)} of {counted(report.tasks, 'task')} failed "
             f"(first: {report.failures[0].reason}); "
             f"{run / 'logs'} has the details, and the same command tries them again"
         )
@@ -101,8 +107,8 @@ def counts_text(counts: Mapping[str, int]) -> str:
 
 def no_scene_text(object_ids: Sequence[str]) -> str:
     """Say that objects have no rest pose, and name the first."""
-    rest = "objects have" if len(object_ids) > 1 else "object has"
-    return f"no scene: {len(object_ids)} {rest} no rest pose (first: {object_ids[0]})"
+    without = counted(len(object_ids), "object has", "objects have")
+    return f"no scene: {without} no rest pose (first: {object_ids[0]})"
 
 
 def percent(rate: Mapping[str, Any] | None) -> str:
@@ -119,8 +125,11 @@ def share(value: float | None) -> str:
 
 
 def table(rows: list[list[str]]) -> list[str]:
-    """Align columns; the first row is the head."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    """Align columns; the first row is the head. What is much longer than the rest stands out."""
+    widths = [
+        max((len(row[i]) for row in rows if len(row[i]) <= _WIDEST), default=0)
+        for i in range(len(rows[0]))
+    ]
     return [
         "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows
     ]

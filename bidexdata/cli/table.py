@@ -9,6 +9,7 @@ import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.report import finish
+from bidexdata.wording import counted
 
 
 def table(
@@ -32,7 +33,7 @@ def table(
     from bidexdata.runs.table import write_table
 
     report = write_table(path, out, protocol=protocol, quiet=quiet)
-    what = "inputs" if report.kind == "library" else "grasps"
+    rows = counted(report.rows, "input" if report.kind == "library" else "row")
     verdicts = f", verdicts of {report.protocol}" if report.protocol else ""
     if report.kind != "library" and not report.protocol:
         verdicts = ", not validated"
@@ -44,7 +45,7 @@ def table(
             "columns": list(report.columns),
             "protocol": report.protocol,
         },
-        [f"{out}: {report.rows} {what}, {len(report.columns)} columns{verdicts}"],
+        [f"{out}: {rows}, {counted(len(report.columns), 'column')}{verdicts}"],
         as_json=as_json,
         quiet=quiet,
     )

@@ -10,6 +10,7 @@ import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.report import command, counts_text, finish, refuse_nothing, warn_of_failed
+from bidexdata.wording import counted
 
 if TYPE_CHECKING:
     from bidexdata.runs.run import Run
@@ -168,10 +169,11 @@ def _validate(
             "seconds": round(report.seconds, 3),
         }
         if report.before == report.tasks:
-            lines.append(f"test {test} of {rules.name}: all {report.tasks} tasks were done before")
+            tasks = counted(report.tasks, "task")
+            lines.append(f"test {test} of {rules.name}: {tasks} done before, none open")
         else:
             lines.append(
-                f"test {test} of {rules.name}: {report.good} of {report.rows} rows pass "
+                f"test {test} of {rules.name}: {report.good} of {counted(report.rows, 'row')} passed "
                 f"({counts_text(report.by_status)}) in {report.seconds:.1f} s"
             )
         warn_of_failed(report, run.path)
@@ -201,32 +203,29 @@ def _replay(
     quiet: bool,
 ) -> None:
     from bidexdata.kinds import expect_kind
+    from bidexdata.record.fields import DIRECTIONS
     from bidexdata.runs.replay import replay_grasp
     from bidexdata.runs.run import Run
     from bidexdata.runs.validate import allowed_tests
-    from bidexdata.validation.protocols import DIRECTIONS
 
     expect_kind(path, "run")
     run = Run.open(path)
     test = allowed_tests(run, rules, tests)[-1]
-    report = replay_grasp(run, grasp_id, rules, test, video)
+    report = replay_grasp(run, grasp_id, rules, test, video, quiet=quiet)
     v = report.verdict
     where = f" in load {DIRECTIONS[v.direction]}" if v.direction >= 0 else ""
-    failed = f" ({v.failed_stage.label}{where}, after {v.time:.2f} s)" if v.failed_stage >= 0 else ""
+    failed = (
+        f" ({v.failed_stage.label}{where}, after {v.time:.2f} s)" if v.failed_stage >= 0 else ""
+    )
     lines = [f"grasp {grasp_id}, test {test} of {rules.name}: {v.status.sentence}{failed}"]
     if report.stored is not None:
         lines.append(f"the run says: {report.stored}")
     if report.video is not None:
-        lines.append(f"{len(report.moments)} pictures in {report.video}")
+        lines.append(f"{counted(report.frames, 'picture')} in {report.video}")
     finish(report.as_dict(), lines, as_json=as_json, quiet=quiet)
 
 
-
-
-
-def _renamed(
-    protocol: Protocol, config: Path | None, assignments: list[str] | None
-) -> Protocol:
+def _renamed(protocol: Protocol, config: Path | None, assignments: list[str] | None) -> Protocol:
     """Change settings of a protocol; refuse to do that under its own name."""
     from bidexdata.errors import BadConfig
 

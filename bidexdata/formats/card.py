@@ -16,6 +16,7 @@ from bidexdata.formats.groups import METRICS
 from bidexdata.formats.metric_text import metric_head, metric_text
 from bidexdata.objects.sources.item import UNKNOWN
 from bidexdata.record.rates import Rate
+from bidexdata.wording import counted
 
 CARD = "DATASET_CARD.md"
 README = "README.md"
@@ -57,9 +58,9 @@ def _values(root: Path, head: Mapping[str, Any]) -> dict[str, Any]:
         "generator_version": head["generator"]["version"],
         "default_protocol": head["default_protocol"],
         "cloud_points": head["cloud_points"],
-        "objects": figures["objects"],
-        "scenes": figures["scenes"],
-        "selected_rows": figures["selected_rows"],
+        "objects": counted(figures["objects"], "object"),
+        "scenes": counted(figures["scenes"], "scene"),
+        "selected_rows": counted(figures["selected_rows"], "selected dexterous grasp"),
         "hands": ", ".join(f"{h['name']} {h['side']}" for h in header["hands"]),
         "sides": ", ".join(h["side"] for h in header["hands"]),
         "rates": _rates(figures),
@@ -83,6 +84,7 @@ def _rates(figures: Mapping[str, Any]) -> str:
         for kind in ("unselected", "selected"):
             rows.append((f"{kind.capitalize()} SUC-{test.upper()}", rate_text(rates[kind])))
     rows.append(("Kept", _share(figures["kept"])))
+    rows.append(("Rows stored", str(figures["n"])))
     rows.append(("Selected rows", str(figures["selected_rows"])))
     rows.append(("Audit rows", str(figures["audit_rows"])))
     return _markdown(("figure", "value"), rows)

@@ -20,6 +20,7 @@ from bidexdata.formats.diversity import DiversityTally
 from bidexdata.formats.groups import BOUNDED, GroupTally, hands_label
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.rates import Rate, clustered_interval
+from bidexdata.wording import counted
 
 METRIC_MEANS = ("pd", "spd", "cdc")
 
@@ -192,6 +193,19 @@ class Tally:
                 pair[1] += max(n, wanted)  # audit rows that a scene could not fill are failures
         pairs = [objects[o] for o in sorted(objects)]
         return clustered_interval([p[0] for p in pairs], [p[1] for p in pairs])
+
+
+def rows_text(figures: Mapping[str, Any]) -> str:
+    """How many rows are stored and what they are, for a person.
+
+    >>> rows_text({"n": 21, "selected_rows": 12, "audit_rows": 12})
+    '21 rows stored (12 selected rows, 12 audit rows, 3 both)'
+    """
+    n, selected, audit = (figures[k] for k in ("n", "selected_rows", "audit_rows"))
+    both = selected + audit - n
+    kinds = [counted(selected, "selected row"), counted(audit, "audit row")]
+    kinds += [f"{both} both"] if both > 0 else []
+    return f"{counted(n, 'row')} stored ({', '.join(kinds)})"
 
 
 def size_text(size_mm: int | str) -> str:

@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 
 from bidexdata.errors import Contradiction
 from bidexdata.formats.closest import distance_to_triangles
+from bidexdata.formats.figures import rows_text
 from bidexdata.formats.hand_files import contact_centres
 from bidexdata.formats.table_checks import read_tree
 from bidexdata.formats.tables import SORTED_BY
 from bidexdata.frames import matrix_from_quat
 from bidexdata.record import GraspBatch, Status
+from bidexdata.wording import counted
 
 if TYPE_CHECKING:
     from bidexdata.formats.release import Release
@@ -45,8 +47,8 @@ _NOT_THERE = "its contact points are not where its joints put the pads"
 
 
 def rows(release: Release) -> str:
-    """Check order, ids, flags, NaN rules, padding and unit quaternions of every row."""
-    count = 0
+    """Check number, order, ids, flags, NaN rules, padding and unit quaternions of every row."""
+    ids: set[str] = set()
     for configuration in release.configurations:
         for split in release.splits:
             last: tuple = ()
@@ -60,8 +62,10 @@ def rows(release: Release) -> str:
                         f"{_first(batch, ~batch[configuration])} is not {configuration}"
                     )
                 _check_values(batch)
-                count += len(batch)
-    return f"{count} rows in order, finite where they must be, with unit quaternions"
+                ids.update(batch["grasp_id"].tolist())
+    if len(ids) != release.figures["n"]:
+        raise Contradiction(f"{len(ids)} rows are stored, the manifest says {release.figures['n']}")
+    return f"{rows_text(release.figures)} in order, finite where they must be, unit quaternions"
 
 
 def joint_limits(release: Release) -> str:
@@ -78,7 +82,7 @@ def joint_limits(release: Release) -> str:
             if bad.any():
                 raise Contradiction(f"{_first(batch, bad)} has joints outside the limits")
         count += len(batch)
-    return f"joints of {count} rows within limits"
+    return f"joints of {counted(count, 'row')} within limits"
 
 
 def contacts(release: Release) -> str:
@@ -114,7 +118,7 @@ def contacts(release: Release) -> str:
         worst_slide = max(worst_slide, float(np.nanmax(pads.slide, initial=0)))
         count += len(batch)
     return (
-        f"{count} rows posed again: median gaps of a hand up to {1000 * worst_gap:.2f} mm, "
+        f"{counted(count, 'row')} posed again: median gaps of a hand up to {1000 * worst_gap:.2f} mm, "
         f"offsets across the normal up to {1000 * worst_slide:.2f} mm"
     )
 

@@ -14,6 +14,7 @@ from bidexdata.formats.clouds import CLOUDS
 from bidexdata.formats.hand_files import hand_folder, header_of
 from bidexdata.formats.object_table import shape_hash
 from bidexdata.record import Header
+from bidexdata.wording import counted
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -58,7 +59,7 @@ def row_tables(release: Release) -> str:
     for kind in CLOUDS:
         if len(release.cloud(kind)) != len(release.object_ids):
             raise Contradiction(f"{kind}.npy has another number of objects than objects.parquet")
-    return ", ".join(f"{n} rows in {c}" for c, n in counts.items())
+    return ", ".join(counted(n, f"{c} row") for c, n in counts.items())
 
 
 def splits(release: Release) -> str:
@@ -71,14 +72,16 @@ def splits(release: Release) -> str:
         shapes.setdefault(row["shape_sha256"], set()).add(row["split"])
     shared = [shape for shape, where in shapes.items() if len(where) > 1]
     if shared:
-        raise Contradiction(f"{len(shared)} shapes are in two splits, first {shared[0][:12]}")
+        raise Contradiction(f"shape {shared[0][:12]} is in two splits, and {len(shared) - 1} more")
     for split, ids in release.splits.items():
         for configuration in release.configurations:
             found = release.index(configuration, split, ["object_id"]).column("object_id")
             strangers = set(found.unique().to_pylist()) - set(ids)
             if strangers:
                 raise Contradiction(f"split {split} holds rows of {sorted(strangers)[0]}")
-    return ", ".join(f"{len(ids)} objects in {split}" for split, ids in release.splits.items())
+    return ", ".join(
+        f"{counted(len(ids), 'object')} in {split}" for split, ids in release.splits.items()
+    )
 
 
 def hands(release: Release) -> str:
@@ -124,7 +127,7 @@ def shapes(release: Release) -> str:
     for object_id, shape in stated.items():
         if shape_hash(release.load_solid(object_id)) != shape:
             raise Contradiction(f"the geometry of {object_id} does not have its stated hash")
-    return f"geometry of {len(stated)} objects hashed again"
+    return f"geometry of {counted(len(stated), 'object')} hashed again"
 
 
 def read_tree(release: Release, name: str, side: str) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from bidexdata.formats.manifest import damage, read_manifest
 from bidexdata.formats.release import Release
 from bidexdata.objects.prepared import Solid
 from bidexdata.record import GraspBatch
+from bidexdata.wording import counted
 
 Resimulate = Callable[[Release, GraspBatch, Solid], np.ndarray]
 """Judges rows of one object again by test f of the default protocol: success per row, (N,)."""
@@ -143,7 +144,9 @@ def _files(release: Release) -> Check:
     if found:
         more = f" and {len(found) - 3} more" if len(found) > 3 else ""
         return Check("files", False, "; ".join(found[:3]) + more)
-    return Check("files", True, f"{count} files match their sha256, none is missing or extra")
+    return Check(
+        "files", True, f"sha256 of {counted(count, 'file')} right, none is missing or extra"
+    )
 
 
 def _run(name: str, law: Callable[[], str]) -> Check:

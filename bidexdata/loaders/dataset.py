@@ -49,7 +49,7 @@ class BiDexDataset:
     def __init__(
         self,
         root: str | Path,
-        split: str = "train",
+        split: str | None = "train",
         where: Where = None,
         fields: Sequence[str] | None = None,
         frame: str = "object",
@@ -61,7 +61,8 @@ class BiDexDataset:
 
         Args:
             root: Release folder.
-            split: `train` or `test`.
+            split: `train` or `test`; None loads all splits, one after the other in the release's
+                order.
             where: Which rows; see `loaders.filters.matching_rows`.
             fields: Columns of an item (grasps and contacts tables); `DEFAULT_FIELDS` when omitted.
             frame: Frame of hand poses and clouds: `object` or `world`. Contact points are always
@@ -80,7 +81,7 @@ class BiDexDataset:
         self.release = Release.open(root)
         self.split, self.frame, self.configuration = split, frame, configuration
         self.where = where
-        if split not in self.release.split_names:
+        if split is not None and split not in self.release.split_names:
             raise UnknownName("split", str(split), self.release.split_names)
         if frame not in ("object", "world"):
             raise UnknownName("frame", frame, ("object", "world"))
@@ -136,12 +137,16 @@ class BiDexDataset:
             f"suc_* by {self.release.default_protocol})"
         )
 
+    @property
+    def _splits(self) -> tuple[str, ...]:
+        return self.release.split_names if self.split is None else (self.split,)
+
     def _where_name(self) -> str:
         return getattr(self.where, "__name__", repr(self.where))
 
     def __getstate__(self) -> dict[str, Any]:
         # Workers map the files themselves; sending arrays would copy the whole table.
-        kept = {k: v for k, v in self.__dict__.items() if k not in ("_values", "_cloud")}
+        kept = {k: v for k, v in self.__dict__.items() if k not in ("_values", "_ends", "_cloud")}
         return {**kept, "release": self.release.path}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -152,7 +157,7 @@ class BiDexDataset:
     def _open(self) -> None:
         scalars = self._scalar_columns()
         self._map()
-        known = {*self._values.columns, *scalars, *hdf5.INTEGER_LISTS, "size"}
+        known = {*self._columns, *scalars, *hdf5.INTEGER_LISTS, "size"}
         for name in self.fields:
             if name not in known:
                 raise UnknownName("field", name, sorted(known))
@@ -160,7 +165,7 @@ class BiDexDataset:
         for name in named or ():
             if name not in scalars:
                 raise UnknownName("column", name, scalars, "in where")
-        mine = [n for n in self.fields if n in scalars and n not in self._values.columns]
+        mine = [n for n in self.fields if n in scalars and n not in self._columns]
         lists = [n for n in self.fields if n in hdf5.INTEGER_LISTS]
         place = (self.configuration, self.split)
         size = "size" if "size" in scalars else "size_mm"
@@ -168,21 +173,31 @@ class BiDexDataset:
         index = self.release.index(*place, list(dict.fromkeys(needed)))
         self._total = index.num_rows
         self._rows = matching_rows(self.where, index)
-        self._lists = hdf5.read_integer_lists(self.release.path, *place, lists)
+        parts = [
+            hdf5.read_integer_lists(self.release.path, self.configuration, split, lists)
+            for split in self._splits
+        ]
+        self._lists = {name: np.concatenate([part[name] for part in parts]) for name in lists}
         ids = scalar_values(index.column("object_id"))
         self._object_index = np.searchsorted(np.array(self.release.object_ids), ids)
         sizes = scalar_values(index.column(size))
         self._sizes = sizes if size == "size" else (sizes / 1000).astype(np.float32)
         self._scalars = {n: scalar_values(index.column(n)) for n in mine}
-        if "size" in self.fields and "size" not in self._values.columns:
+        if "size" in self.fields and "size" not in self._columns:
             self._scalars["size"] = self._sizes
         # Floating scenes have the identity pose: nothing to convert (docs/conventions.md).
         self._moved = bool(np.any(scalar_values(index.column("setting")) != "floating"))
 
     def _map(self) -> None:
         root = self.release.path
-        mapped = hdf5.map_values(root, self.configuration, self.split)
-        self._values = mapped or hdf5.read_values(root, self.configuration, self.split)
+        parts = [
+            hdf5.map_values(root, self.configuration, split)
+            or hdf5.read_values(root, self.configuration, split)
+            for split in self._splits
+        ]
+        self._values = [part.values for part in parts]
+        self._ends = np.cumsum([len(values) for values in self._values])
+        self._columns = parts[0].columns  # the same in all splits
         self._cloud = None
         if self.cloud is not None:
             stored = self.release.cloud(self.cloud)
@@ -204,8 +219,8 @@ class BiDexDataset:
     def _read(self, rows: np.ndarray) -> dict[str, Any]:
         import torch
 
-        block = np.take(self._values.values, rows, axis=0)
-        found = {n: self._column(block, n) for n in self.fields if n in self._values.columns}
+        block = self._floats(rows)
+        found = {n: self._column(block, n) for n in self.fields if n in self._columns}
         if self._moved and self.frame == "object" and any(n in found for n in _HAND_POSES):
             pose = dict(zip(_HAND_POSES, self._hands_in_object(block), strict=True))
             found |= {n: v for n, v in pose.items() if n in found}
@@ -225,8 +240,19 @@ class BiDexDataset:
             batch[self.cloud] = torch.from_numpy(self._clouds(rows, objects, block))
         return batch
 
+    def _floats(self, rows: np.ndarray) -> np.ndarray:
+        """Float columns of some rows; those of each split are an array of their own."""
+        if len(self._values) == 1:
+            return np.take(self._values[0], rows, axis=0)
+        block = np.empty((len(rows), self._values[0].shape[1]), np.float32)
+        part = np.searchsorted(self._ends, rows, side="right")
+        for k, values in enumerate(self._values):
+            mine = part == k
+            block[mine] = np.take(values, rows[mine] - self._ends[k] + len(values), axis=0)
+        return block
+
     def _column(self, block: np.ndarray, name: str) -> np.ndarray:
-        place, shape = self._values.columns[name]
+        place, shape = self._columns[name]
         return block[:, place].reshape(len(block), *shape)
 
     def _hands_in_object(self, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

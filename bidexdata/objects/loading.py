@@ -133,8 +133,10 @@ def _read(path: Path, suffix: str) -> tuple[NDArray[np.float64], NDArray[np.int3
             Status.UNSUPPORTED, f"{err}; install it with: pip install 'bidexdata[synth]'"
         ) from err
     except Exception as err:
-        # Parsers of foreign bytes raise anything (index, key, XML, recursion, struct errors);
-        # only the call into them stands in this block.
+        # No list of classes would be honest: trimesh hands the bytes to a parser per format (its
+        # own, lxml, pycollada, json, struct, numpy), and hostile files have made them raise index,
+        # key, attribute, type, XML, zip, recursion and struct errors. One that is left out would
+        # end a run for one bad mesh. Only the calls into them stand in this block.
         text = (str(err).strip() or type(err).__name__).splitlines()[0][:200]
         raise PrepareFailure(Status.UNREADABLE, f"{type(err).__name__}: {text}") from err
     faces = getattr(loaded, "faces", None)

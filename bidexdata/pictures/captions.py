@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from bidexdata.objects.prepared import Solid
 from bidexdata.pictures.sheet import Caption
 from bidexdata.record import GraspBatch, Status
+from bidexdata.record.fields import DIRECTIONS
+from bidexdata.wording import counted
 
 
-def grasp_caption(batch: GraspBatch, row: int, *, test: str = "f") -> Caption:
-    """Object, size, grasp and verdict of one row.
+def grasp_caption(tested: Mapping[str, GraspBatch], row: int) -> Caption:
+    """Object, size, grasp and one line per verdict of one row.
 
     Args:
-        batch: With identity columns; synthesis and verdict columns are used where present.
+        tested: The same rows with the verdict columns of each test, at least one; synthesis and
+            verdict columns are used where present.
         row: Which row.
-        test: Name of the test that the verdict columns are of.
     """
+    batch = next(iter(tested.values()))
     head = f"{batch['object_id'][row]}  {batch['size_mm'][row]} mm"
     grasp = f"grasp {batch['grasp_id'][row]}"
     if "selected" in batch and not batch["selected"][row]:
         grasp += "  (audit)"
-    words, good = verdict_words(batch, row, test=test)
-    return Caption(head, (grasp, words), good)
+    # An attempt that failed before any test is said once.
+    said = dict(verdict_words(rows, row, test=test) for test, rows in tested.items())
+    return Caption(head, (grasp, *said), tuple(said.values()))
 
 
 def verdict_words(batch: GraspBatch, row: int, *, test: str = "f") -> tuple[str, bool | None]:
@@ -33,25 +39,33 @@ def verdict_words(batch: GraspBatch, row: int, *, test: str = "f") -> tuple[str,
         return "not validated", None
     number = int(batch["verdict_status"][row])
     if number < 0 or number == Status.NOT_RUN:
-        return "not validated", None
-    verdict = Status(number)
-    if bool(batch["success"][row]):
-        return f"passes test {test}", True
-    where = _direction(batch, row)
-    return f"fails test {test}{where}: {verdict.sentence}", False
+        return f"not validated by test {test}", None
+    direction = int(batch["direction"][row]) if "direction" in batch else -1
+    status = Status.OK if bool(batch["success"][row]) else Status(number)
+    return outcome_words(test, status, direction), status is Status.OK
 
 
-def _direction(batch: GraspBatch, row: int) -> str:
-    number = int(batch["direction"][row]) if "direction" in batch else -1
-    names = ("+x", "-x", "+y", "-y", "+z", "-z")
-    return f" (load {names[number]})" if 0 <= number < len(names) else ""
+def outcome_words(test: str, status: Status, direction: int = -1) -> str:
+    """Say how a test ended.
+
+    Args:
+        test: Its name.
+        status: The verdict.
+        direction: First failing load, a place in `DIRECTIONS`; any other number means none.
+    """
+    if status is Status.OK:
+        return f"passes test {test}"
+    load = f" (load {DIRECTIONS[direction]})" if 0 <= direction < len(DIRECTIONS) else ""
+    return f"fails test {test}{load}: {status.sentence}"
 
 
 def object_caption(solid: Solid) -> Caption:
     """Name, pieces and repair of one object."""
     known = solid.provenance
-    pieces = f"{len(solid.pieces)} convex piece{'s' if len(solid.pieces) != 1 else ''}"
-    made = [pieces, *(str(known[k]) for k in ("piece_method", "licence") if known.get(k))]
+    made = [
+        counted(len(solid.pieces), "convex piece"),
+        *(str(known[k]) for k in ("piece_method", "licence") if known.get(k)),
+    ]
     warnings = known.get("warnings") or ()
     lines = (" · ".join(made), str(warnings[0]) if warnings else "")
     return Caption(solid.object_id, lines)

@@ -82,12 +82,16 @@ def draw_stages(
 ) -> list[Pixels]:
     """Draw one grasp at several moments with the camera standing still."""
     shown = [grasp_parts(batch, row, solid, hands, stage=s, surface=surface) for s in stages]
-    scenes = [RayScene(parts, device) for parts in shown]
-    middle = len(shown) // 2
-    direction = choose_views(shown[middle], scenes[middle])[0]
+    middle = shown[len(shown) // 2]
+    scene = RayScene(middle, device)
+    direction = choose_views(middle, scene)[0]
     everything = np.concatenate([subject_points(parts) for parts in shown])
     camera = framed(everything, direction, width / height)
-    return [scene.draw(camera, width, height) for scene in scenes]
+    drawn = []
+    for parts in shown:
+        scene.move(parts)
+        drawn.append(scene.draw(camera, width, height))
+    return drawn
 
 
 def draw_object(

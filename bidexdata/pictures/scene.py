@@ -18,6 +18,8 @@ Colour = tuple[float | int, float | int, float | int]
 Vector = NDArray[Any] | Sequence[float | int]
 """Three numbers of a point or direction, or four of a quaternion."""
 
+GROUND = "ground"
+"""Label of what everything stands on."""
 CREASE_COSINE = float(np.cos(np.radians(40.0)))
 """Faces that meet at less than this angle are shaded as one smooth surface."""
 
@@ -113,7 +115,7 @@ def arrow(start: Vector, end: Vector, radius: float, colour: Colour, label: str)
     )
 
 
-def disc(centre: Vector, radius: float, colour: Colour, label: str = "ground") -> Part:
+def disc(centre: Vector, radius: float, colour: Colour, label: str = GROUND) -> Part:
     """A flat round plate whose normal is world z [m]."""
     vertices, faces = _turned(np.array([[radius, 0.0], [0.0, 0.0]]), 64)
     return mesh_part(vertices + np.asarray(centre, np.float64), faces, colour, label, smooth=False)

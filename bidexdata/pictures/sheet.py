@@ -34,8 +34,8 @@ class Caption(NamedTuple):
 
     head: str
     lines: tuple[str, ...] = ()
-    good: bool | None = None
-    """Colours the last line: passed, failed, or neither."""
+    good: tuple[bool | None, ...] = ()
+    """Colours as many of the last lines: passed, failed, or neither."""
 
 
 class Tile(NamedTuple):
@@ -146,9 +146,9 @@ def save_animation(frames: Sequence[Image], path: Path) -> None:
 
 
 def _write(draw: ImageDraw, caption: Caption, x: int, y: int, width: int) -> None:
+    plain = 1 + len(caption.lines) - len(caption.good)
     for number, line in enumerate((caption.head, *caption.lines)):
-        last = number == len(caption.lines)
-        colour = _ink(number, caption.good if last else None)
+        colour = _ink(number, caption.good[number - plain] if number >= plain else None)
         draw.text((x, y + number * _STEP), fitted(line, width, TEXT), colour, _font(TEXT))
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bidexdata.pictures.camera import framed
 from bidexdata.pictures.raycast import RayScene
-from bidexdata.pictures.scene import Part
+from bidexdata.pictures.scene import GROUND, Part
 
 FloatArray = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ def side_direction(hand_centres: Sequence[FloatArray]) -> FloatArray:
 
 def subject_points(parts: Sequence[Part]) -> FloatArray:
     """Points that must be inside the picture: everything but the ground, (n, 3) [m]."""
-    shown = [p.vertices for p in parts if p.label != "ground" and len(p.vertices)]
+    shown = [p.vertices for p in parts if p.label != GROUND and len(p.vertices)]
     return np.concatenate(shown) if shown else np.zeros((1, 3))
 
 

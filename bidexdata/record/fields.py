@@ -12,6 +12,8 @@ from typing import Literal
 
 STAGES = ("pregrasp", "grasp", "squeeze")
 SIDES = ("left", "right")
+DIRECTIONS = ("+x", "-x", "+y", "-y", "+z", "-z")
+"""Loads of test f, along the object's axes, in the order that the column `direction` counts."""
 
 Dtype = Literal["string", "bool", "int8", "int16", "int32", "int64", "float32"]
 Table = Literal["grasps", "contacts", "verdicts", "arms", "objects", "scenes", "runs"]

@@ -31,9 +31,12 @@ class Browsable(Protocol):
 
     kind: Kind
     path: Path
-    test: str
-    """Name of the test whose verdicts `grasps` joins; empty when nothing is validated."""
     protocol: str
+    """Whose verdicts are shown; empty when nothing is validated."""
+    tests: tuple[str, ...]
+    """Tests of it that have verdicts."""
+    test: str
+    """The first of them, by which grasps are chosen; empty when nothing is validated."""
 
     @property
     def object_ids(self) -> tuple[str, ...]:
@@ -44,8 +47,13 @@ class Browsable(Protocol):
         """Read one object."""
         ...
 
-    def grasps(self, object_id: str) -> GraspBatch | None:
-        """All stored rows of one object, with verdict columns where there are verdicts."""
+    def grasps(self, object_id: str, test: str = "") -> GraspBatch | None:
+        """All stored rows of one object, with verdict columns where there are verdicts.
+
+        Args:
+            object_id: Which.
+            test: One of `tests`, the first when empty; the rows are the same.
+        """
         ...
 
     def hands(self) -> tuple[Hand, ...]:
@@ -70,6 +78,7 @@ class LibrarySource:
 
     kind: Kind = "library"
     test = protocol = ""
+    tests: tuple[str, ...] = ()
 
     def __init__(self, path: Path):
         from bidexdata.objects.library import Library
@@ -86,7 +95,7 @@ class LibrarySource:
         """Read one object."""
         return self.library.load_solid(object_id)
 
-    def grasps(self, object_id: str) -> GraspBatch | None:
+    def grasps(self, object_id: str, test: str = "") -> GraspBatch | None:
         """None: a library holds no grasps."""
         return None
 
@@ -105,7 +114,8 @@ class RunSource:
 
         self.path = path
         self.run: Run = Run.open(path)
-        self.protocol, self.test = _preferred(self.run.verdict_tests())
+        self.protocol, self.tests = _preferred(self.run.verdict_tests())
+        self.test = next(iter(self.tests), "")
 
     @property
     def object_ids(self) -> tuple[str, ...]:
@@ -116,18 +126,18 @@ class RunSource:
         """Read one object of the run's library."""
         return self.run.load_solid(object_id)
 
-    def grasps(self, object_id: str) -> GraspBatch | None:
+    def grasps(self, object_id: str, test: str = "") -> GraspBatch | None:
         """Rows of the tasks that are done by now; those not yet validated say so in every row."""
         from bidexdata.runs.run import join_tasks
 
-        found = []
+        found, test = [], test or self.test
         for task in self.run.tasks_of(object_id):
             if not self.run.is_done(task):
                 continue
             batch = self.run.task_batch(task)
-            if self.test and self.run.is_done(task, self.protocol, self.test):
-                verdicts = self.run.task_verdicts(task, batch, self.protocol, self.test)
-            elif self.test:
+            if test and self.run.is_done(task, self.protocol, test):
+                verdicts = self.run.task_verdicts(task, batch, self.protocol, test)
+            elif test:
                 verdicts = _no_verdicts(batch)
             else:
                 verdicts = {}
@@ -150,7 +160,8 @@ class ReleaseSource:
         self.path = path
         self.release: Release = Release.open(path)
         mine = [t for t in self.release.protocols if t[0] == self.release.default_protocol]
-        self.protocol, self.test = _preferred(mine)
+        self.protocol, self.tests = _preferred(mine)
+        self.test = next(iter(self.tests), "")
 
     @property
     def object_ids(self) -> tuple[str, ...]:
@@ -161,12 +172,12 @@ class ReleaseSource:
         """Read one object."""
         return self.release.load_solid(object_id)
 
-    def grasps(self, object_id: str) -> GraspBatch | None:
+    def grasps(self, object_id: str, test: str = "") -> GraspBatch | None:
         """Selected rows, then audit rows that are not selected too."""
         found = []
         for configuration in self.release.configurations:
             batch = self.release.grasps(
-                object_id, configuration=configuration, test=self.test or "f"
+                object_id, configuration=configuration, test=test or self.test or "f"
             )
             if configuration == "audit":
                 batch = batch.select(~batch["selected"])
@@ -195,9 +206,12 @@ def verdicts_of(batch: GraspBatch) -> np.ndarray:
     return outcome
 
 
-def _preferred(tests: list[tuple[str, str]]) -> tuple[str, str]:
+def _preferred(tests: list[tuple[str, str]]) -> tuple[str, tuple[str, ...]]:
+    """One protocol, and its tests."""
     # Force closure first: it is the one that every floating data set has.
-    return min(tests, key=lambda t: (t[0] != "paper-1", t[1] != "f", t), default=("", ""))
+    ordered = sorted(tests, key=lambda t: (t[0] != "paper-1", t[1] != "f", t))
+    protocol = ordered[0][0] if ordered else ""
+    return protocol, tuple(test for name, test in ordered if name == protocol)
 
 
 def _no_verdicts(batch: GraspBatch) -> dict[str, np.ndarray]:

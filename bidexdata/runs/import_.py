@@ -148,7 +148,7 @@ def import_run(
         tasks,
         done_tasks(folder),
         partial(_import_task, form.name, str(request.path), str(out), run.fingerprint),
-        unit="objects imported",
+        unit="object imported",
         logs=out / "logs",
         execution=execution,
     )

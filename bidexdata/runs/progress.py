@@ -8,6 +8,8 @@ import time
 from io import TextIOBase
 from typing import Any
 
+from bidexdata.wording import counted
+
 PLAIN_INTERVAL = 10.0
 """Seconds between lines where standard error is no terminal."""
 BAR_INTERVAL = 0.1
@@ -16,6 +18,8 @@ BAR_INTERVAL = 0.1
 
 class Progress:
     """Counts finished units; use as a context manager.
+
+    `unit` is the word for one, with what is done to it where that helps: `task`, `file read`.
 
     State: how many of `total` are done; `already` of them were done before this run, which the
     rate and the ETA leave out.
@@ -30,7 +34,10 @@ class Progress:
         already: int = 0,
         stream: TextIOBase | None = None,
     ):
-        self.total, self.unit, self.done = total, unit, already
+        self.total, self.done = total, already
+        noun, space, rest = unit.partition(" ")
+        self._total_text = counted(total, noun) + space + rest
+        self._nouns = noun + "s"
         self._already = already
         self._quiet = quiet
         self._stream: Any = stream or sys.stderr
@@ -44,7 +51,7 @@ class Progress:
     def __enter__(self) -> Progress:
         self._start = time.monotonic()
         if self._already and not self._quiet:
-            self._line(f"{self._already} of {self.total} {self.unit} were done before")
+            self._line(f"{self._already} of {self._total_text} done before")
         return self
 
     def __exit__(self, error: object, *_: object) -> None:
@@ -85,11 +92,11 @@ class Progress:
     def text(self) -> str:
         """The figures: `12 of 40 objects (30 %), 2.1 objects/s, 13 s left`."""
         share = 100 * self.done / self.total if self.total else 100.0
-        parts = [f"{self.done} of {self.total} {self.unit} ({share:.0f} %)"]
+        parts = [f"{self.done} of {self._total_text} ({share:.0f} %)"]
         fresh, seconds = self.done - self._already, time.monotonic() - self._start
         if fresh > 0 and seconds > 0:
             rate = fresh / seconds
-            parts.append(_rate(rate, self.unit))
+            parts.append(_rate(rate, self._nouns))
             if self.done < self.total:
                 parts.append(f"{_duration((self.total - self.done) / rate)} left")
             else:

@@ -220,7 +220,7 @@ def _grasp_frames(
     hands = source.hands() if chosen else ()
     frames: list[list[Tile]] = [[] for _ in (VIDEO_MOMENTS if video else (1,))]
     solid: Solid | None = None
-    with Progress(len(chosen), "grasps drawn", quiet=quiet) as progress:
+    with Progress(len(chosen), "grasp drawn", quiet=quiet) as progress:
         for shown in chosen:
             if solid is None or solid.object_id != shown.object_id:
                 solid = source.load_solid(shown.object_id)
@@ -230,11 +230,21 @@ def _grasp_frames(
                 drawn = draw_stages(*at, VIDEO_MOMENTS, **size)
             else:
                 drawn = [draw_grasp(*at, views=views, **size)]
-            caption = grasp_caption(shown.batch, shown.row, test=source.test or "f")
+            caption = grasp_caption(_tested(source, shown), shown.row)
             for tiles, pixels in zip(frames, drawn, strict=True):
                 tiles.append(Tile(pixels, caption))
             progress.advance()
     return frames
+
+
+def _tested(source: Browsable, shown: Shown) -> dict[str, GraspBatch]:
+    """The batch of a chosen grasp with the verdicts of each test."""
+    tested = {source.test or "f": shown.batch}
+    for test in source.tests[1:]:
+        rows = source.grasps(shown.object_id, test)
+        assert rows is not None  # the batch is of the same object
+        tested[test] = rows
+    return tested
 
 
 def _object_tiles(
@@ -245,7 +255,7 @@ def _object_tiles(
     from bidexdata.pictures.sheet import Tile
 
     tiles = []
-    with Progress(len(object_ids), "objects drawn", quiet=quiet) as progress:
+    with Progress(len(object_ids), "object drawn", quiet=quiet) as progress:
         for object_id in object_ids:
             solid = source.load_solid(object_id)
             pixels = draw_object(solid, width=WIDTH, height=HEIGHT, device=device)
@@ -278,6 +288,9 @@ def _title(source: Browsable, only: Only | None, sides: Sequence[str]) -> str:
     what = {"success": "grasps that passed", "failure": "grasps that failed", None: "grasps"}[only]
     if source.kind == "library":
         return f"{source.path.name}: objects, repaired mesh beside convex pieces"
-    test = f" (test {source.test} of {source.protocol})" if source.test else " (not validated)"
+    # The first test chose the grasps; without a choice the verdicts of all are told.
+    tests = source.tests[:1] if only else source.tests
+    named = f"{'tests' if len(tests) > 1 else 'test'} {', '.join(tests)}"
+    test = f" ({named} of {source.protocol})" if tests else " (not validated)"
     colours = ", ".join(f"{side} hand {HAND_COLOUR_NAMES[side]}" for side in sides)
     return f"{source.path.name}: {what}{test}; {colours}"

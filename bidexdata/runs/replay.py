@@ -12,6 +12,7 @@ import numpy as np
 from bidexdata.errors import BadConfig, NotUsable
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.batch import in_metres
+from bidexdata.runs.progress import Progress
 from bidexdata.runs.run import Run
 
 if TYPE_CHECKING:
@@ -48,6 +49,8 @@ class Replay:
     """Label of the verdict that the run has; None where it has none."""
     moments: tuple[Moment, ...]
     video: Path | None
+    frames: int
+    """Pictures in the video, the last of which stands still; 0 without one."""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for `--json`."""
@@ -62,13 +65,19 @@ class Replay:
             "direction": v.direction,
             "stored_status": self.stored,
             "seconds_simulated": round(self.moments[-1].time, 3) if self.moments else 0.0,
-            "frames": len(self.moments),
+            "frames": self.frames,
             "video": None if self.video is None else str(self.video),
         }
 
 
 def replay_grasp(
-    run: Run, grasp_id: str, protocol: Protocol, test: str, video: str | Path | None = None
+    run: Run,
+    grasp_id: str,
+    protocol: Protocol,
+    test: str,
+    video: str | Path | None = None,
+    *,
+    quiet: bool = False,
 ) -> Replay:
     """Test one grasp of a run again and look on.
 
@@ -78,6 +87,7 @@ def replay_grasp(
         protocol: The settings.
         test: Which test.
         video: An .mp4 file to write.
+        quiet: No progress bar.
 
     Raises:
         NotUsable: No such grasp, a row without a pose, or no scene can be built.
@@ -100,13 +110,14 @@ def replay_grasp(
         raise NotUsable(f"grasp {grasp_id} cannot be replayed: {before.sentence}")
     scene = scene_of_rows(batch, solid, hands, protocol, test)
     moments: list[Moment] = []
+    frames = 0
     with engine_warnings_logged():
         verdict = TESTS[test](scene, protocol, grasp_of(batch, 0), Execution(), _keep(moments))
     if path is not None:
         if not moments:
             raise NotUsable(f"grasp {grasp_id} was not simulated: {verdict.status.sentence}")
-        _draw(path, batch, solid, scene, test, moments, verdict)
-    return Replay(grasp_id, test, protocol.name, verdict, stored, tuple(moments), path)
+        frames = _draw(path, batch, solid, scene, test, moments, verdict, quiet=quiet)
+    return Replay(grasp_id, test, protocol.name, verdict, stored, tuple(moments), path, frames)
 
 
 def _check_video(path: Path) -> None:
@@ -161,29 +172,39 @@ def _draw(
     test: str,
     moments: list[Moment],
     verdict: Verdict,
-) -> None:
+    *,
+    quiet: bool,
+) -> int:
+    """Film a test and give the number of pictures in the file."""
+    from bidexdata.pictures.captions import outcome_words
     from bidexdata.pictures.sheet import Caption
-    from bidexdata.pictures.simulated import simulation_camera, simulation_frame
+    from bidexdata.pictures.simulated import simulation_camera, simulation_frames
     from bidexdata.pictures.video import save_video
     from bidexdata.simulation.assembly import TABLE_GEOM
 
+    total = len(moments) - 1 + round(_LAST_SECONDS * FPS)
     size = in_metres(batch["size"][0])
     table = TABLE_GEOM in {scene.model.geom(i).name for i in range(scene.model.ngeom)}
     ends = [moments[0].pose, moments[len(moments) // 2].pose, moments[-1].pose]
     camera = simulation_camera(ends, solid, size, scene.hands, table=table)
     head = f"{batch['object_id'][0]}  {batch['size_mm'][0]} mm  {batch['grasp_id'][0]}"
     passed = verdict.status is Status.OK
-    outcome = f"passes test {test}" if passed else f"fails test {test}: {verdict.status.sentence}"
+    outcome = outcome_words(test, verdict.status, verdict.direction)
 
-    def frames():
+    def captions():
         for moment in moments:
             last = moment is moments[-1]
             words = f"{moment.time:5.2f} s  {moment.phase}"
-            caption = Caption(head, (words, outcome if last else ""), passed if last else None)
-            picture = simulation_frame(
-                moment.pose, solid, size, scene.hands, caption, camera, table=table
-            )
-            for _ in range(round(_LAST_SECONDS * FPS) if last else 1):
-                yield picture
+            yield Caption(head, (words, outcome if last else ""), (passed if last else None,))
+
+    def frames():
+        shown = zip((m.pose for m in moments), captions(), strict=True)
+        drawn = simulation_frames(shown, solid, size, scene.hands, camera, table=table)
+        with Progress(total, "picture", quiet) as progress:
+            for number, picture in enumerate(drawn, start=1):
+                times = total - len(moments) + 1 if number == len(moments) else 1
+                yield from [picture] * times
+                progress.advance(times)
 
     save_video(frames(), path, FPS)
+    return total

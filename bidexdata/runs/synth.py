@@ -112,7 +112,7 @@ def synth_library(
         tasks,
         done_tasks(run.stage_folder("rows")),
         partial(_synth_task, str(run.path), run.fingerprint, device),
-        unit="tasks",
+        unit="task",
         logs=run.path / "logs",
         execution=execution,
     )

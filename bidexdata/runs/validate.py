@@ -180,7 +180,7 @@ def _run_test(
             tuple(sorted(measured)),
             device,
         ),
-        unit="tasks",
+        unit="task",
         logs=run.path / "logs",
         execution=execution,
     )

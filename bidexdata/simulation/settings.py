@@ -25,7 +25,7 @@ class SceneSettings:
     """
 
     timestep: float = 0.004
-    """[s]."""
+    """Time from one simulation step to the next [s]."""
     impratio: float = 10.0
     """Frictional to normal constraint impedance of elliptic cones [-]."""
     noslip_iterations: int = 2

@@ -7,13 +7,14 @@ from numpy.typing import NDArray
 
 from bidexdata.frames import matrix_from_quat
 from bidexdata.record import Status
+from bidexdata.record.fields import DIRECTIONS
 from bidexdata.record.status import TestStage
 from bidexdata.simulation.scene import SimScene
 from bidexdata.simulation.state import set_pose
 
 from .checks import Reference, check, reference, touches_object
 from .margin import largest_multiple
-from .protocols import DIRECTIONS, Protocol
+from .protocols import Protocol
 from .rest import is_firm
 from .stages import Execution, Grasp, Phase, Watch, clear_load, close_hands, hold, set_load
 from .verdict import UNSTABLE, Verdict, closing_failure, hold_cause, start_overlap

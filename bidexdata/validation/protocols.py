@@ -14,10 +14,9 @@ from typing import Any, Literal
 
 from bidexdata.config import OMIT_NONE, from_plain, load_yaml, merge, to_plain
 from bidexdata.errors import BadConfig, NotUsable, UnknownName
+from bidexdata.record.fields import DIRECTIONS
 from bidexdata.simulation.settings import SceneSettings
 
-DIRECTIONS = ("+x", "-x", "+y", "-y", "+z", "-z")
-"""Loads in the order of the record's `direction`."""
 WARP_SUFFIX = "-warp"
 """How the names of protocols end whose verdicts are MuJoCo Warp's, and no others."""
 _NAME = re.compile(r"[a-z0-9][a-z0-9_.-]{0,63}")
@@ -89,6 +88,7 @@ class Protocol:
     """How grasps are tested and measured. Times are simulated seconds."""
 
     name: str
+    """Under which verdicts are stored; other settings need another."""
     description: str
     """One sentence for `bidexdata protocols`."""
     tests: tuple[str, ...] = ("f", "l")

@@ -23,7 +23,7 @@ class Verdict(NamedTuple):
     status: Status
     failed_stage: TestStage = TestStage.NONE
     direction: int = -1
-    """First failing load of test f, a place in `DIRECTIONS`; -1 when none failed."""
+    """First failing load of test f, a place in `record.fields.DIRECTIONS`; -1 when none failed."""
     drift_pos: float = np.nan
     """Largest displacement at a check [m]; NaN when nothing was simulated."""
     drift_rot: float = np.nan

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from bidexdata.errors import BadConfig, NotUsable
 from bidexdata.frames import matrix_from_quat
 from bidexdata.record import Status
+from bidexdata.record.fields import DIRECTIONS
 from bidexdata.record.status import TestStage
 from bidexdata.simulation.scene import SimScene
 from bidexdata.simulation.state import set_pose
 
 from .lift import LEFT_BEHIND
-from .protocols import DIRECTIONS, LiftRules, Protocol
+from .protocols import LiftRules, Protocol
 from .stages import ControlPath, Execution, Grasp, Phase, closing_path
 from .verdict import UNSTABLE, Verdict, closing_failure, hold_cause, start_overlap
 from .warp_checks import Statuses, advance, check_worlds, instability, rests

@@ -25,6 +25,7 @@ from bidexdata.viewer.words import (
     scores_markdown,
     verdict_html,
 )
+from bidexdata.wording import counted
 
 if TYPE_CHECKING:
     import viser
@@ -118,7 +119,9 @@ class Page:
                 self.identity.content = identity_markdown(batch, row)
                 self.scores.content = scores_markdown(batch, row)
             total = len(self.rows)
-            self.count.content = f"{int(self.grasp.value) if total else 0} of {total} grasps"
+            self.count.content = (
+                f"{int(self.grasp.value) if total else 0} of {counted(total, 'grasp')}"
+            )
             self.show_marks()
             self.show_stage()
             self._aim_camera()

@@ -9,6 +9,7 @@ import numpy as np
 from bidexdata.objects.prepared import Solid
 from bidexdata.pictures.captions import verdict_words
 from bidexdata.record import GraspBatch
+from bidexdata.wording import counted
 
 # column, words, factor, unit
 _SCORES = (
@@ -72,8 +73,8 @@ def object_markdown(solid: Solid) -> str:
     for key in ("source", "licence", "author", "category"):
         if known.get(key):
             lines.append(f"{key}: {known[key]}")
-    pieces = f"{len(solid.pieces)} convex pieces, {len(solid.mesh.faces)} faces"
-    lines.append(pieces if len(solid.pieces) != 1 else pieces.replace("pieces", "piece", 1))
+    pieces, faces = len(solid.pieces), len(solid.mesh.faces)
+    lines.append(f"{counted(pieces, 'convex piece')}, {counted(faces, 'face')}")
     lines += [f"⚠ {text}" for text in known.get("warnings") or ()]
     return "  \n".join(lines)
 

@@ -14,9 +14,19 @@ from bidexdata.cli.main import COMMANDS, run
 from bidexdata.config import to_plain, with_overrides
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.synthesis.presets import describe_preset, load_preset, preset_names
+from bidexdata.validation.protocols import load_protocol, protocol_names
 
 ROOT = Path(__file__).resolve().parents[2]
-CONFIGS = {"prepare": PrepareConfig(), **{name: load_preset(name) for name in preset_names()}}
+PROTOCOLS = {name: load_protocol(name) for name in protocol_names()}
+CONFIGS = {
+    "prepare": PrepareConfig(),
+    **{name: load_preset(name) for name in preset_names()},
+    **PROTOCOLS,
+}
+
+
+def lister(name: str) -> str:
+    return "protocols" if name in PROTOCOLS else "presets"
 
 
 def leaves(plain: dict, prefix: str = "") -> dict[str, object]:
@@ -28,7 +38,7 @@ def leaves(plain: dict, prefix: str = "") -> dict[str, object]:
 
 
 def listed(name: str, capsys: pytest.CaptureFixture) -> dict:
-    assert run(["presets", name, "--json"]) == 0
+    assert run([lister(name), name, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
@@ -40,13 +50,13 @@ def test_every_key_is_listed_once_with_its_value_and_a_meaning(name: str, capsys
     assert len(keys) == len({k["key"] for k in keys})
     assert all(k["meaning"] for k in keys)
     assert all(g["meaning"] for g in data["groups"])
-    documented = set(re.findall(r"\w+", COMMANDS["presets"].__doc__ or ""))
+    documented = set(re.findall(r"\w+", COMMANDS[lister(name)].__doc__ or ""))
     assert set(data) | set(data["groups"][0]) | set(keys[0]) <= documented
 
 
 @pytest.mark.parametrize("name", CONFIGS)
 def test_the_text_spells_keys_and_values_as_set_reads_them(name: str, capsys):
-    assert run(["presets", name]) == 0
+    assert run([lister(name), name]) == 0
     lines = capsys.readouterr().out.splitlines()
     rows = {line.split()[0]: line for line in lines if line.startswith("  ")}
     assert set(rows) == set(leaves(to_plain(CONFIGS[name])))
@@ -71,16 +81,31 @@ def test_the_parts_of_a_text():
 
 
 def test_the_help_of_set_and_the_readme_say_where_the_keys_are(capsys):
-    for command in ("prepare", "synth"):
+    for command in ("prepare", "synth", "validate"):
         run([command, "--help"])
         said = " ".join(capsys.readouterr().out.split())
         assert "`bidexdata presets default`" in said
         assert "`bidexdata presets prepare`" in said
+        assert "`bidexdata protocols paper-1`" in said
     run(["presets"])
     assert "bidexdata presets prepare" in capsys.readouterr().out
+    run(["protocols"])
+    assert "bidexdata protocols NAME" in capsys.readouterr().out
     readme = (ROOT / "README.md").read_text("utf-8")
     assert "bidexdata presets default" in readme
     assert "bidexdata presets prepare" in readme
+    assert "bidexdata protocols paper-1" in readme
+
+
+def test_a_protocol_file_is_listed_too_and_an_unknown_one_gives_3(tmp_path, capsys):
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("base: paper-1\nname: long-1\ndescription: a longer hold\nhold: 5.0\n")
+    assert run(["protocols", str(mine), "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    keys = {k["key"]: k for g in data["groups"] for k in g["keys"]}
+    assert (keys["hold"]["value"], keys["hold"]["unit"]) == (5.0, "s")
+    assert run(["protocols", "paper-2"]) == 3
+    assert "paper-1" in capsys.readouterr().err
 
 
 def test_an_unknown_preset_gives_3_and_lists_the_known(capsys):

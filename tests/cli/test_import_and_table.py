@@ -49,7 +49,7 @@ def test_an_import_reports_its_files_and_the_next_command(bench, tmp_path, capsy
     assert "8 grasps of 2 objects from 9 files (8 read, 1 failed)" in text
     assert run(["info", str(out)]) == 0
     text = capsys.readouterr().out
-    assert "imported from 8 files; 1 files and 0 grasps could not be used" in text
+    assert "imported from 8 files; not usable: 1 file and 0 grasps" in text
     assert "kept" not in text
     assert "attempts" not in text
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bidexdata import BiDexDataset, Run
+from bidexdata import BiDexDataset, Release, Run
 from bidexdata.cli.main import COMMANDS, run
 from bidexdata.record.fields import columns_written_by
 from bidexdata.runs.browse import open_browsable
@@ -88,14 +88,21 @@ def test_a_library_made_in_parts_is_the_one_made_at_once(
     library: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ):
     folder = tmp_path / "library"
-    prepare = ["prepare", "shapes:box,cylinder,sphere", "--out", str(folder), "--executor", "inline"]
+    prepare = [
+        "prepare",
+        "shapes:box,cylinder,sphere",
+        "--out",
+        str(folder),
+        "--executor",
+        "inline",
+    ]
     capsys.readouterr()
     assert run([*prepare, "--shard", "1/2", "--json", "--quiet"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert (data["inputs"], data["prepared"], data["waiting"]) == (1, 1, 2)
     assert "next" not in data
     assert run([*prepare, "--shard", "1/2"]) == 0
-    assert "part 1/2: 2 inputs of other parts are not done yet" in capsys.readouterr().out
+    assert "part 1/2: 2 inputs of other parts not done yet" in capsys.readouterr().out
     assert run(["info", str(folder)]) == 3
     assert "unfinished" in capsys.readouterr().err
     assert run([*prepare, "--shard", "0/2", "--json", "--quiet"]) == 0
@@ -255,6 +262,51 @@ def test_a_test_that_the_setting_does_not_allow_gives_3(whole: Path, capsys):
     assert "'a'" in capsys.readouterr().err
 
 
+def test_info_and_verify_count_the_same_rows_in_the_same_words(
+    release: Path, capsys: pytest.CaptureFixture
+):
+    said = []
+    for name in ("info", "verify"):
+        assert run([name, str(release)]) == 0
+        said += re.findall(r"\d+ rows? stored \([^)]*\)", capsys.readouterr().out)
+    ids = {
+        i
+        for c in ("selected", "audit")
+        for i in Release.open(release).grasps(configuration=c).grasp_id
+    }
+    assert len(said) == 2
+    assert said[0] == said[1]
+    assert said[0].startswith(f"{len(ids)} row")
+
+
+def test_the_last_line_is_the_next_command_of_the_readme(
+    library: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+):
+    def following(*words: str | Path) -> str:
+        assert run([*map(str, words), "--json", "--quiet"]) == 0
+        return json.loads(capsys.readouterr().out)["next"]
+
+    pictures, out = ("--out", tmp_path / "a.png", "--count", "1"), tmp_path / "release"
+    assert following("render", library, *pictures) == f"bidexdata synth {library} --out RUN"
+    assert following("render", whole, *pictures) == f"bidexdata view {whole}"
+    packed = following("pack", whole, "--out", out, "--name", "x", "--version", "1.0.0")
+    assert packed == f"bidexdata verify {out}"
+    assert following("verify", out) == f"bidexdata view {out}"
+
+
+def test_the_seconds_of_synth_are_those_of_the_whole_command(
+    whole: Path, library: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(
+        "bidexdata.runs.synth.check_device", lambda _device: time.sleep(0.3)
+    )  # before any task
+    synth = ["synth", str(library), "--out", str(whole), *OPTIONS, "--json", "--quiet"]
+    start = time.perf_counter()
+    assert run(synth) == 0
+    taken = time.perf_counter() - start
+    assert 0.3 <= json.loads(capsys.readouterr().out)["seconds"] <= taken
+
+
 def test_a_shard_made_on_another_device_is_told_apart_by_info(
     whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
 ):
@@ -273,7 +325,7 @@ def test_a_shard_made_on_another_device_is_told_apart_by_info(
     assert run(["info", str(folder)]) == 0
     said = capsys.readouterr().out
     assert f"  {len(others)} tasks on cpu (" in said
-    assert "  1 tasks on cuda (a GPU) with bidexdata" in said
+    assert "  1 task on cuda (a GPU) with bidexdata" in said
 
 
 @pytest.mark.parametrize("command", ["info", "pack"])
@@ -346,7 +398,7 @@ def test_pack_says_how_many_rows_are_not_tested(whole: Path, tmp_path: Path, cap
         capsys.readouterr()
         assert run(["pack", str(folder), "--out", str(tmp_path / str(number)), *names]) == 0
         assert (
-            f"run half: {total - tested} of {total} rows are not tested; "
+            f"run half: {total - tested} of {total} rows not tested; "
             f"run: bidexdata validate {folder}\n"
         ) in capsys.readouterr().err
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bidexdata.cli.figures import LEGEND
 from bidexdata.cli.report import refuse_nothing, warn_of_failed
 from bidexdata.errors import NothingSucceeded
 from bidexdata.runs.executors import TaskFailure
@@ -42,3 +44,13 @@ def test_rows_are_not_read_when_this_call_had_a_success():
         yield
 
     refuse_nothing(1, unread(), "success", "none")
+
+
+def test_every_figure_with_a_short_name_is_explained_where_it_is_printed():
+    root = Path(__file__).resolve().parents[2]
+    readme = (root / "README.md").read_text("utf-8").partition("## What the figures mean")[2]
+    protocols = (root / "docs" / "protocols.md").read_text("utf-8").partition("## Metrics")[2]
+    for name in ("PD", "SPD", "CDC", "D"):
+        assert re.search(rf"\b{name}\b[^;]* = ", LEGEND), name
+        assert re.search(rf"\b{name}\b (is|says)", readme) or f" {name} the" in readme, name
+        assert re.search(rf"\b{name}\b|`{name.lower()}`", protocols), name

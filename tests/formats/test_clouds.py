@@ -83,8 +83,11 @@ def test_the_rows_of_a_cloud_file_are_those_that_the_objects_table_names(packed)
 
 def test_readme_and_card_say_how_to_read_clouds_and_that_pickle_is_not_needed(packed):
     root = Path(__file__).resolve().parents[2]
-    for text in ((root / "README.md").read_text("utf-8"), (packed / "README.md").read_text("utf-8")):
+    for text in (
+        (root / "README.md").read_text("utf-8"),
+        (packed / "README.md").read_text("utf-8"),
+    ):
         said = " ".join(text.split())
-        assert "mmap_mode=\"r\"" in said
+        assert 'mmap_mode="r"' in said
         assert "`allow_pickle=True` is never needed" in said
         assert "`cloud_index` of" in said

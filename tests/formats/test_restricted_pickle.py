@@ -128,9 +128,12 @@ def array_pickle(shape: tuple, raw: bytes, code: str = "f4") -> bytes:
     made = pickletools.genops(content)
     assert made is not None
     at = content.index(b"K\x03\x85", content.index(b"ndarray"))
-    return content[:at] + b"".join(pickle.dumps(n, 3)[2:-1] for n in shape) + b"\x85" + content[
-        at + 3 :
-    ].replace(b"f4", code.encode(), 1)
+    return (
+        content[:at]
+        + b"".join(pickle.dumps(n, 3)[2:-1] for n in shape)
+        + b"\x85"
+        + content[at + 3 :].replace(b"f4", code.encode(), 1)
+    )
 
 
 def test_a_shape_that_is_not_its_bytes_is_refused():

@@ -13,10 +13,11 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "bidexdata"
 
 # cli -> viewer -> runs -> loaders, formats -> synthesis | validation -> arms -> pictures
-# -> simulation -> objects, hands -> wrench, record -> frames, errors, config, devices, kinds.
+# -> simulation -> objects, hands -> wrench, record -> frames, errors, config, devices, kinds,
+# wording.
 # Rooms on one floor do not import each other, but for the pairs in SAME_FLOOR.
 FLOORS = [
-    {"frames", "errors", "config", "devices", "kinds"},
+    {"frames", "errors", "config", "devices", "kinds", "wording"},
     {"wrench", "record"},
     {"objects", "hands"},
     {"simulation"},

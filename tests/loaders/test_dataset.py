@@ -168,6 +168,30 @@ def test_selection_is_said_in_repr_and_log(floating, caplog):
     assert "audit rows only" in repr(BiDexDataset(floating, configuration="audit"))
 
 
+@pytest.mark.parametrize("where", [None, "suc_f"])
+def test_no_split_is_all_splits_one_after_the_other(floating, where):
+    options = {"fields": EVERYTHING, "where": where, "points": 16}
+    whole = BiDexDataset(floating, split=None, **options)
+    parts = [BiDexDataset(floating, split=s, **options) for s in Release.open(floating).split_names]
+    assert len(whole) == sum(len(p) for p in parts)
+    assert len(parts) > 1
+    rows = [item for part in parts for item in part]
+    backwards = list(range(len(whole)))[::-1]
+    found = whole.__getitems__(backwards).stacked
+    sent = pickle.loads(pickle.dumps(whole))  # noqa: S301  (what spawn does)
+    again = sent.__getitems__(backwards).stacked
+    for place, row in zip(backwards[::-1], rows, strict=True):
+        at = backwards.index(place)
+        for name, value in row.items():
+            for batch in (found, again):
+                if isinstance(value, torch.Tensor):
+                    assert torch.equal(
+                        torch.nan_to_num(batch[name][at]), torch.nan_to_num(value)
+                    ), name
+                else:
+                    assert batch[name][at] == value
+
+
 def test_splits_cover_the_release_and_share_no_object(floating):
     train, test = (BiDexDataset(floating, split=s, fields=("grasp_id",)) for s in ("train", "test"))
     seen = [

@@ -108,6 +108,7 @@ class Made:
 
     kind = "run"
     test = "f"
+    tests: tuple[str, ...] = ("f",)
     protocol = "paper-1"
 
     def __init__(self, hands: tuple[Hand, ...], n: int = 6):
@@ -124,7 +125,7 @@ class Made:
     def load_solid(self, object_id):
         return self.solids[object_id]
 
-    def grasps(self, object_id):
+    def grasps(self, object_id, test=""):
         return self.batches[object_id]
 
     def hands(self):

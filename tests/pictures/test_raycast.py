@@ -3,7 +3,7 @@ import pytest
 from picture_samples import BOX_FACES, box_mesh
 
 from bidexdata.pictures.camera import framed, look_at, view_rotation
-from bidexdata.pictures.raycast import RayScene
+from bidexdata.pictures.raycast import KEY_LIGHT, RayScene
 from bidexdata.pictures.scene import corner_normals, disc, face_normals, mesh_part, sphere
 
 RED = (0.9, 0.1, 0.1)
@@ -136,3 +136,65 @@ def test_corner_normals_hold_without_area_and_without_faces():
     assert np.array_equal(flat, np.zeros((1, 3, 3)))
     assert corner_normals(np.zeros((0, 3)), np.zeros((0, 3), np.int32)).shape == (0, 3, 3)
     assert BOX_FACES.dtype == np.int32
+
+
+def test_what_hides_the_sky_leaves_no_pattern_on_a_table():
+    parts = [sphere((0, 0, 0.12), 0.1, RED, "ball"), disc((0, 0, 0), 0.5, (0.8, 0.8, 0.8))]
+    camera = look_at((0, 0, 0.05), (0, -0.5, 0.85), 1.0)
+    scene = RayScene(parts)
+    picture = scene.draw(camera, 160, 120).astype(float)
+    ground = scene.hits(camera, 160, 120).part == 1
+    crossing = [np.abs(np.diff(picture, 2, axis=a)).max(axis=2) for a in (0, 1)]
+    rough = np.maximum(crossing[0][:, 1:-1], crossing[1][1:-1])
+    # The rim of the ball and of its shadow, a pixel to each side, are all that is not smooth.
+    assert np.mean(rough[ground[1:-1, 1:-1]] > 4) < 0.06
+
+
+def test_a_coarse_ball_is_shaded_as_the_ball_it_stands_for():
+    radius, n = 0.1, 161
+    camera = look_at((0, 0, 0), (0.4, -0.8, 0.3), 0.6)
+    scene = RayScene([sphere((0, 0, 0), radius, (1, 1, 1), "ball")])
+    hits, drawn = scene.hits(camera, n, n), scene.draw(camera, n, n, samples=1)
+    step = camera.tan_half_height * ((2 * np.arange(n) + 1) / n - 1)
+    across, up = np.meshgrid(step, -step)
+    ray = np.stack([across, up, -np.ones_like(up)], 2) @ camera.R_world_camera.T
+    ray /= np.linalg.norm(ray, axis=2, keepdims=True)
+    with np.errstate(invalid="ignore"):
+        normal = camera.position + hits.distance[..., None] * ray
+        normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    lamp = camera.R_world_camera @ (np.array(KEY_LIGHT) / np.linalg.norm(KEY_LIGHT))
+    key, fill = np.maximum(normal @ lamp, 0), np.maximum(-(normal * ray).sum(2), 0)
+    light = 0.62 * key + 0.16 * fill + 0.2 + 0.2 * (0.5 + 0.5 * normal[..., 2])
+    inside = (hits.part == 0) & (fill > 0.2)
+    dull = inside & (drawn.max(axis=2) < 240)  # where the lamp is not mirrored
+    wanted = 255 * np.clip(light, 0, 1) ** (1 / 2.2)
+    # A ball hides no sky and no lamp from itself, whatever triangles it is made of.
+    assert np.abs(drawn[..., 0] - wanted)[dull & (key < 0.7)].max() < 2
+
+
+def test_a_moved_scene_is_the_scene_that_would_be_built_there():
+    def parts(x):
+        return [sphere((x, 0, 0.1), 0.1, RED, "ball"), disc((0, 0, 0), 0.4, BLUE)]
+
+    camera = look_at((0, 0, 0.1), (0.3, -0.8, 0.4), 1.4)
+    scene = RayScene(parts(0.0))
+    for x in (0.1, -0.25, 0.0):
+        scene.move(parts(x))
+        assert np.array_equal(scene.draw(camera, 80, 60), RayScene(parts(x)).draw(camera, 80, 60))
+    for other in ([], parts(0)[:1], parts(0)[::-1], [*parts(0), *parts(1)]):
+        with pytest.raises(ValueError, match="same faces"):
+            scene.move(other)
+
+
+def test_more_rays_change_a_picture_at_its_edges_only():
+    parts = [sphere((0, 0, 0.1), 0.1, RED, "ball"), disc((0, 0, 0), 0.4, BLUE)]
+    camera = look_at((0, 0, 0.1), (0.3, -0.8, 0.4), 1.4)
+    scene = RayScene(parts)
+    one, many = (scene.draw(camera, 80, 60, samples=n).astype(int) for n in (1, 3))
+    changed = np.abs(one - many).max(axis=2) > 0
+    near = np.zeros_like(changed)
+    for axis in (0, 1):
+        for way in (1, -1):
+            near |= np.abs(one - np.roll(one, way, axis=axis)).max(axis=2) > 3
+    assert 0 < changed.mean() < 0.25
+    assert np.all(near[changed])

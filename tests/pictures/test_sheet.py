@@ -52,13 +52,14 @@ def test_every_word_is_drawn_and_another_word_draws_another_sheet():
 
 def test_the_verdict_is_coloured():
     def colours(good):
-        made = contact_sheet([tile(0, Caption("a", ("wide words",), good))], title="", footer="")
+        made = contact_sheet(
+            [tile(0, Caption("a", ("wide words",) * len(good), good))], title="", footer=""
+        )
         return {tuple(int(v) for v in c) for c in np.asarray(made).reshape(-1, 3)}
 
-    assert GOOD in colours(True)
-    assert GOOD not in colours(False)
-    assert BAD in colours(False)
-    assert not {GOOD, BAD} & colours(None)
+    for good in ((), (None,), (True,), (False,), (True, False), (None, False), (False, None)):
+        wanted = {colour for word, colour in ((True, GOOD), (False, BAD)) if word in good}
+        assert {GOOD, BAD} & colours(good) == wanted
 
 
 @pytest.mark.parametrize("text", ["", "x", "a caption", "an object's very long name " * 20])
@@ -102,18 +103,33 @@ def test_an_empty_sheet_still_has_its_words():
 
 def test_captions_say_what_became_of_a_grasp(hands):
     batch = grasps(hands, box_solid("box0-00000000"))
-    caption = grasp_caption(batch, 1)
+    caption = grasp_caption({"f": batch}, 1)
     assert caption.head == "box0-00000000  500 mm"
     assert str(batch["grasp_id"][1]) in caption.lines[0]
-    assert caption.good is True
-    failed = grasp_caption(batch, 0)
-    assert failed.good is False
+    assert caption.good == (True,)
+    failed = grasp_caption({"f": batch}, 0)
+    assert failed.good == (False,)
     assert Status.SLIP.sentence in failed.lines[-1]
-    never = grasp_caption(batch, len(batch) - 1)
+    never = grasp_caption({"f": batch, "l": batch}, len(batch) - 1)
+    assert len(never.lines) == 2
     assert Status.NO_PLACEMENT.sentence in never.lines[-1]
     bare = {k: v for k, v in batch.columns.items() if k in ("object_id", "size_mm", "grasp_id")}
     words, good = verdict_words(dataclasses.replace(batch, columns=bare), 0)
     assert (words, good) == ("not validated", None)
+
+
+def test_a_caption_has_the_verdict_of_every_test(hands):
+    closed = grasps(hands, box_solid("box0-00000000"))
+    other = np.where(closed["verdict_status"] == Status.OK, Status.NOT_LIFTED, Status.NOT_RUN)
+    columns = {"verdict_status": other.astype(np.int8), "success": np.zeros(len(other), bool)}
+    tested = {"f": closed, "l": dataclasses.replace(closed, columns={**closed.columns, **columns})}
+    caption = grasp_caption(tested, 1)
+    assert caption.lines[1] == "passes test f"
+    assert caption.lines[2] == f"fails test l: {Status.NOT_LIFTED.sentence}"
+    assert caption.good == (True, False)
+    caption = grasp_caption(tested, 0)
+    assert caption.lines[2] == "not validated by test l"
+    assert caption.good == (False, None)
 
 
 def test_a_load_direction_is_named(hands):

@@ -28,7 +28,7 @@ def stage(folder: Path, bad: set[str], executor: str = "inline"):
         TASKS,
         done_tasks(folder / "synth"),
         partial(work, folder / "synth", frozenset(bad)),
-        unit="tasks",
+        unit="task",
         logs=folder / "logs",
         execution=Execution(executor=executor, workers=2, quiet=True),
     )
@@ -55,11 +55,11 @@ def test_a_failed_task_is_reported_logged_and_tried_again(tmp_path: Path, execut
 
 def test_progress_on_a_pipe_is_plain_lines_with_rate():
     stream = io.StringIO()
-    with Progress(4, "tasks", already=1, stream=stream) as progress:
+    with Progress(4, "task", already=1, stream=stream) as progress:
         for _ in range(3):
             progress.advance()
     lines = stream.getvalue().splitlines()
-    assert lines[0] == "1 of 4 tasks were done before"
+    assert lines[0] == "1 of 4 tasks done before"
     assert lines[-1].startswith("4 of 4 tasks (100 %), ")
     assert "tasks/s" in lines[-1]
     assert "\r" not in stream.getvalue()
@@ -71,7 +71,7 @@ def test_progress_on_a_terminal_redraws_one_line_and_quiet_says_nothing():
             return True
 
     stream = Terminal()
-    with Progress(2, "tasks", stream=stream) as progress:
+    with Progress(2, "task", stream=stream) as progress:
         progress.advance()
         progress.write("a remark")
         progress.advance()
@@ -80,7 +80,7 @@ def test_progress_on_a_terminal_redraws_one_line_and_quiet_says_nothing():
     assert stream.getvalue().count("2 of 2 tasks") == 1
 
     silent = Terminal()
-    with Progress(2, "tasks", quiet=True, stream=silent) as progress:
+    with Progress(2, "task", quiet=True, stream=silent) as progress:
         progress.advance()
         progress.write("a remark")
     assert silent.getvalue() == ""

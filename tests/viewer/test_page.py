@@ -132,7 +132,7 @@ def test_filters_choose_rows_and_say_when_there_are_none(page):
     assert page.rows == [1, 3]
     page.outcome.value = "failed"
     assert page.rows == [3]
-    assert page.count.content == "1 of 1 grasps"
+    assert page.count.content == "1 of 1 grasp"
     assert page.grasp.disabled
     page.kept.value = "audit"
     assert page.rows == []

@@ -1,0 +1,17 @@
+"""Numbers with the word for what they count, as a person writes them."""
+
+from __future__ import annotations
+
+
+def counted(n: int, one: str, many: str = "") -> str:
+    """A number and its noun, singular or plural.
+
+    Args:
+        n: How many.
+        one: The words for one, such as `task` or `task is`.
+        many: Those for any other number; `one` with an s when empty.
+
+    >>> counted(1, "row"), counted(0, "row"), counted(2, "task is", "tasks are")
+    ('1 row', '0 rows', '2 tasks are')
+    """
+    return f"{n} {one if n == 1 else many or one + 's'}"
