@@ -15,7 +15,7 @@ from bidexdata.simulation.state import set_pose
 from .checks import Reference, check, reference, touches_object
 from .margin import largest_multiple
 from .protocols import Protocol
-from .rest import is_firm
+from .rest import Grip, probe
 from .stages import Execution, Grasp, Phase, Watch, clear_load, close_hands, hold, set_load
 from .verdict import UNSTABLE, Verdict, closing_failure, hold_cause, start_overlap
 
@@ -49,11 +49,11 @@ def force_closure(
     closed = np.empty(mujoco.mj_stateSize(scene.model, mujoco.mjtState.mjSTATE_INTEGRATION))
     mujoco.mj_getState(scene.model, scene.data, closed, mujoco.mjtState.mjSTATE_INTEGRATION)
 
-    firm = execution.early_stop and is_firm(scene, protocol, execution.rest)
+    grip = probe(scene, protocol, execution.rest) if execution.early_stop else Grip.LOOSE
 
     def loaded(multiple: float, watch: Watch | None = None) -> tuple[int, Phase]:
         return _all_directions(
-            scene, protocol, grasp, closed, wanted, execution, firm, multiple, watch
+            scene, protocol, grasp, closed, wanted, execution, grip, multiple, watch
         )
 
     direction, phase = loaded(1.0, watch)
@@ -75,7 +75,7 @@ def _all_directions(
     closed: NDArray[np.float64],
     wanted: Reference,
     execution: Execution,
-    firm: bool,
+    grip: Grip,
     multiple: float,
     watch: Watch | None,
 ) -> tuple[int, Phase]:
@@ -90,7 +90,7 @@ def _all_directions(
         sign = 1.0 if name[0] == "+" else -1.0
         set_load(scene, protocol, sign * axes[direction // 2], multiple)
         look = None if watch is None else _named(watch, f"load {name}")
-        phase = hold(scene, protocol, protocol.checks, wanted, execution, firm=firm, watch=look)
+        phase = hold(scene, protocol, protocol.checks, wanted, execution, grip=grip, watch=look)
         clear_load(scene)
         worst = Phase(
             phase.status,

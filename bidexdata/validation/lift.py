@@ -14,7 +14,7 @@ from bidexdata.simulation.state import set_pose
 from .checks import check, reference, touches_object
 from .margin import largest_multiple
 from .protocols import Protocol
-from .rest import is_firm
+from .rest import Grip, probe
 from .stages import (
     Execution,
     Grasp,
@@ -109,9 +109,9 @@ def _lifted(
         phase = Phase(status, moved, turned, up_time)
         ended = TestStage.NONE if status is Status.OK else TestStage.LIFT
     else:
-        firm = execution.early_stop and is_firm(scene, protocol, execution.rest)
+        grip = probe(scene, protocol, execution.rest) if execution.early_stop else Grip.LOOSE
         phase = hold(
-            scene, protocol, protocol.lift_checks, wanted, execution, firm=firm, watch=watch
+            scene, protocol, protocol.lift_checks, wanted, execution, grip=grip, watch=watch
         )
         ended = TestStage.NONE if phase.status is Status.OK else TestStage.HOLD
     return _Lifted(ended, phase, touched, thrown, lifted)

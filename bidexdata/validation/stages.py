@@ -20,7 +20,7 @@ from bidexdata.simulation.state import set_targets
 
 from .checks import Reference, check, instability
 from .protocols import Protocol
-from .rest import RestRules, rests
+from .rest import Grip, RestRules, rests
 
 FloatArray = NDArray[np.float64]
 
@@ -172,7 +172,7 @@ def hold(
     wanted: Reference,
     execution: Execution,
     *,
-    firm: bool = False,
+    grip: Grip = Grip.FAIR,
     watch: Watch | None = None,
 ) -> Phase:
     """Hold under the load that is on, from the scene's present state.
@@ -183,7 +183,7 @@ def hold(
         checks: Number of checks.
         wanted: Where the object should be.
         execution: Whether rest may end the phase early.
-        firm: What `rest.is_firm` said of the grasp.
+        grip: What `rest.probe` said of the grasp.
         watch: Looks on.
     """
     timestep = scene.model.opt.timestep
@@ -211,8 +211,7 @@ def hold(
                 return Phase(status, float(largest[0]), float(largest[1]), step * timestep)
         if may_stop:
             left = checks * protocol.check_every - step * timestep
-            at = {"moved": moved, "turned": turned, "left": left}
-            if rests(scene, protocol, rules, firm=firm, **at):
+            if rests(scene, protocol, rules, grip, moved=moved, turned=turned, left=left):
                 largest = [np.fmax(largest[0], moved), np.fmax(largest[1], turned)]
                 return Phase(Status.OK, float(largest[0]), float(largest[1]), step * timestep)
     return Phase(Status.OK, float(largest[0]), float(largest[1]), checks * protocol.check_every)
