@@ -51,6 +51,23 @@ def set_pose(
     set_targets(scene, hand_pos, hand_quat)
 
 
+def saved_state(scene: SimScene) -> FloatArray:
+    """Copy all that the next steps depend on: positions, speeds, controls, warm start."""
+    import mujoco
+
+    state = np.empty(mujoco.mj_stateSize(scene.model, mujoco.mjtState.mjSTATE_INTEGRATION))
+    mujoco.mj_getState(scene.model, scene.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+    return state
+
+
+def restore_state(scene: SimScene, state: FloatArray) -> None:
+    """Go back to a copy from `saved_state`; warnings of the engine since then are forgotten too."""
+    import mujoco
+
+    mujoco.mj_setState(scene.model, scene.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+    scene.data.warning.number[:] = 0
+
+
 def set_targets(scene: SimScene, hand_pos: FloatArray, hand_quat: FloatArray) -> None:
     """Command poses (H, 3) [m] and (H, 4) of the hands' roots."""
     data = scene.data

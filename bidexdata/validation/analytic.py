@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from bidexdata.errors import MissingExtra
 from bidexdata.hands.model import Hand
 from bidexdata.simulation.distances import HandContacts
-from bidexdata.wrench.contact_model import contact_frames, grasp_matrix
+from bidexdata.wrench.contact_model import grasp_matrix
 
 FloatArray = NDArray[np.float64]
 
@@ -34,6 +34,10 @@ FORCE = 0.1
 """Size of the six forces of the QP [N] (DexGraspBench)."""
 NO_SOLUTION = 1.0
 """Residual where OSQP finds no solution (DexGraspBench)."""
+NO_CONTACT = 2.0
+"""Residual without any contact (DexGraspBench)."""
+ALONG_Y = 0.99
+"""Normals closer to the y axis than this cosine take z for their first tangent (DexGraspBench)."""
 
 
 class AnalyticMetrics(NamedTuple):
@@ -66,7 +70,7 @@ def analytic_metrics(
     """
     tips = tip_contacts(hands, contacts)
     if len(tips.points) == 0:
-        return AnalyticMetrics(0.0, NO_SOLUTION)
+        return AnalyticMetrics(0.0, NO_CONTACT)
     slide, spin = (FRICTION_SHARE * f for f in friction)
     return AnalyticMetrics(q1(tips, slide), qp_certificate(tips, slide, spin))
 
@@ -90,6 +94,16 @@ def tip_contacts(hands: Sequence[Hand], contacts: HandContacts) -> TipContacts:
     return TipContacts(np.array(points).reshape(-1, 3), np.array(normals).reshape(-1, 3))
 
 
+def _frames(normals: FloatArray) -> FloatArray:
+    """Columns (n, d, n x d), d the y axis made orthogonal to n: edges of a pyramid depend on it."""
+    flat = np.abs(normals[:, 1]) > ALONG_Y
+    axis = np.where(flat[:, None], np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]))
+    first = axis - np.sum(axis * normals, axis=1, keepdims=True) * normals
+    first = first / np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(normals, first)
+    return np.stack([normals, first, second], axis=-1).astype(np.float64)
+
+
 def q1(tips: TipContacts, friction: float) -> float:
     """Distance from the origin to the convex hull of all cone edges and the origin.
 
@@ -103,7 +117,7 @@ def q1(tips: TipContacts, friction: float) -> float:
         return 0.0
     angle = 2 * np.pi * np.arange(EDGES) / EDGES
     edges = np.stack([np.ones(EDGES), friction * np.sin(angle), friction * np.cos(angle)], axis=1)
-    G = grasp_matrix(offset / scale, contact_frames(tips.normals_in))
+    G = grasp_matrix(offset / scale, _frames(tips.normals_in))
     wrenches = np.einsum("cij,ej->cei", G, edges).reshape(-1, 6)
     try:
         hull = ConvexHull(np.concatenate([wrenches, np.zeros((1, 6))]))
@@ -122,7 +136,7 @@ def qp_certificate(tips: TipContacts, friction: float, spin: float) -> float:
     Raises:
         MissingExtra: OSQP is not installed.
     """
-    G = grasp_matrix(tips.points - tips.points.mean(axis=0), contact_frames(tips.normals_in))
+    G = grasp_matrix(tips.points - tips.points.mean(axis=0), _frames(tips.normals_in))
     edges = _soft_edges(G, friction, spin)
     loads = np.concatenate([np.eye(6)[:3], -np.eye(6)[:3]]) * FORCE
     return float(np.mean([_residual(edges, load) for load in loads]))
@@ -175,6 +189,6 @@ def _residual(edges: FloatArray, load: FloatArray) -> float:
         verbose=False,
     )
     found = solver.solve(raise_error=False)
-    if found.x is None or not np.isfinite(found.x).all():
+    if not found.info.status.startswith("solved"):
         return NO_SOLUTION
     return float(np.linalg.norm(W @ found.x[:n] + load))

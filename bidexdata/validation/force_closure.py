@@ -10,7 +10,7 @@ from bidexdata.record import Status
 from bidexdata.record.fields import DIRECTIONS
 from bidexdata.record.status import TestStage
 from bidexdata.simulation.scene import SimScene
-from bidexdata.simulation.state import set_pose
+from bidexdata.simulation.state import restore_state, saved_state, set_pose
 
 from .checks import Reference, check, reference, touches_object
 from .margin import largest_multiple
@@ -32,8 +32,6 @@ def force_closure(
     Each load starts from a copy of the closed state, so closing is simulated once. The first
     failing load decides, the rest are not run: the verdict and its direction are the same.
     """
-    import mujoco
-
     refused = start_overlap(scene, protocol, grasp)
     if refused is not None:
         return refused
@@ -46,8 +44,7 @@ def force_closure(
     if status in UNSTABLE or (protocol.check_closing and status is not Status.OK):
         return closing_failure(protocol, status, moved, turned)
     touched = touches_object(scene)
-    closed = np.empty(mujoco.mj_stateSize(scene.model, mujoco.mjtState.mjSTATE_INTEGRATION))
-    mujoco.mj_getState(scene.model, scene.data, closed, mujoco.mjtState.mjSTATE_INTEGRATION)
+    closed = saved_state(scene)
 
     grip = probe(scene, protocol, execution.rest) if execution.early_stop else Grip.LOOSE
 
@@ -80,13 +77,11 @@ def _all_directions(
     watch: Watch | None,
 ) -> tuple[int, Phase]:
     """Hold under each load in turn; the first failing direction, -1 when none fails."""
-    import mujoco
-
     axes = matrix_from_quat(grasp.object_quat).T
     worst = Phase(Status.OK, 0.0, 0.0, np.nan)
     for name in protocol.directions:
         direction = DIRECTIONS.index(name)
-        mujoco.mj_setState(scene.model, scene.data, closed, mujoco.mjtState.mjSTATE_INTEGRATION)
+        restore_state(scene, closed)
         sign = 1.0 if name[0] == "+" else -1.0
         set_load(scene, protocol, sign * axes[direction // 2], multiple)
         look = None if watch is None else _named(watch, f"load {name}")

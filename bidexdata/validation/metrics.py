@@ -54,13 +54,13 @@ def measure(scene: SimScene, rules: MetricRules, grasp: Grasp) -> Distances:
     )
 
 
-def grasp_metrics(distances: Distances, rules: MetricRules, hands: Sequence[Hand] = ()) -> Metrics:
+def grasp_metrics(distances: Distances, rules: MetricRules, hands: Sequence[Hand]) -> Metrics:
     """Compute the figures from the distances at the grasp.
 
     Args:
         distances: From `measure`.
         rules: What counts.
-        hands: Needed where fingers go by the prefix of their bodies' names.
+        hands: Those of the distances, for the names of their bodies.
     """
     fingers = _by_prefix(distances, hands) if rules.fingers_by_prefix else distances.fingers
     has_fingers = len(fingers) > 0
@@ -70,6 +70,7 @@ def grasp_metrics(distances: Distances, rules: MetricRules, hands: Sequence[Hand
         deepest = min(deepest, distances.object_table)
         among = min(among, distances.table)
     near = [np.abs(b) if not rules.deep_counts else b for b in distances.bodies]
+    near = [b[_counted(rules, hand)] for b, hand in zip(near, hands, strict=True)]
     return Metrics(
         pd=-deepest or 0.0,
         spd=-among or 0.0,
@@ -79,11 +80,20 @@ def grasp_metrics(distances: Distances, rules: MetricRules, hands: Sequence[Hand
     )
 
 
+def _counted(rules: MetricRules, hand: Hand) -> NDArray[np.bool_]:
+    return np.array([name not in rules.uncounted_bodies for name in _bare_names(hand)])
+
+
+def _bare_names(hand: Hand) -> list[str]:
+    """Names of the bodies without the prefix that tells left from right."""
+    return [n.removeprefix(hand.side[0] + "h_") for n in hand.body_names]
+
+
 def _by_prefix(distances: Distances, hands: Sequence[Hand]) -> FloatArray:
     """Smallest distance of the bodies whose names begin with a finger's, (F,)."""
     nearest = []
     for hand, bodies in zip(hands, distances.bodies, strict=True):
-        names = [n.removeprefix(hand.side[0] + "h_") for n in hand.body_names]
+        names = _bare_names(hand)
         for finger in hand.fingers:
             mine = [k for k, name in enumerate(names) if name.startswith(finger)]
             nearest.append(float(bodies[mine].min()))

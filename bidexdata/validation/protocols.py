@@ -67,6 +67,11 @@ class MetricRules:
     """Finger distances are capped here, for CDC and contact distance [m] (DexGraspBench)."""
     contact_within: float = 0.002
     """A body closer than this to the object counts as in contact [m]."""
+    uncounted_bodies: tuple[str, ...] = (
+        *("ffknuckle", "mfknuckle", "rfknuckle", "lfknuckle", "thbase", "thhub"),
+    )
+    """Bodies that are never in contact, without side prefix (DexGraspBench counts 17 bodies of the
+    Shadow hand: palm, metacarpal, and three of each finger)."""
     deep_counts: bool = True
     """A body deeper inside than that is in contact too; DexGraspBench compares the absolute
     distance, so to it such a body has no contact (its trap 9)."""

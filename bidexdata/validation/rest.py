@@ -19,7 +19,7 @@ import numpy as np
 
 from bidexdata.record import Status
 from bidexdata.simulation.scene import SimScene
-from bidexdata.simulation.state import object_speed
+from bidexdata.simulation.state import object_speed, restore_state, saved_state
 
 from .checks import check, reference
 from .protocols import Protocol
@@ -97,10 +97,7 @@ def _with_friction(
     """Largest displacement [m] and rotation [rad], and the last speed [m/s]; infinite when lost."""
     import mujoco
 
-    model, data = scene.model, scene.data
-    kind = mujoco.mjtState.mjSTATE_INTEGRATION
-    state = np.empty(mujoco.mj_stateSize(model, kind))
-    mujoco.mj_getState(model, data, state, kind)
+    model, data, state = scene.model, scene.data, saved_state(scene)
     friction = model.geom_friction[:, 0].copy()
     start = reference(scene, protocol)
     steps = max(1, round(rules.every / model.opt.timestep))
@@ -116,8 +113,7 @@ def _with_friction(
         return float(largest[0]), float(largest[1]), object_speed(scene)[0]
     finally:
         model.geom_friction[:, 0] = friction
-        data.warning.number[:] = 0
-        mujoco.mj_setState(model, data, state, kind)
+        restore_state(scene, state)
 
 
 def rests(

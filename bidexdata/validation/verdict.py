@@ -37,12 +37,15 @@ class Verdict(NamedTuple):
 def start_overlap(scene: SimScene, protocol: Protocol, grasp: Grasp) -> Verdict | None:
     """Refuse a pre-grasp that overlaps deeper than the protocol allows; None when it does not.
 
-    Counted are hands with the object and with each other; in a scene with a table hands with the
-    table, and where the protocol takes the table for a hand (`MetricRules.table_is_hand`) the
+    Counted are each hand with the object, with itself and with the other; in a scene with a table
+    hands with the table (in every protocol), and where the protocol takes the table for a hand (`MetricRules.table_is_hand`) the
     object with the table.
     """
     at = (grasp.hand_pos[:, 0], grasp.hand_quat[:, 0], grasp.joints[:, 0])
-    d = measure_distances(scene, grasp.object_pos, grasp.object_quat, *at, reach=0.0)
+    counts = protocol.metrics.last_body_counts
+    d = measure_distances(
+        scene, grasp.object_pos, grasp.object_quat, *at, reach=0.0, last_body_counts=counts
+    )
     deepest = min(d.hand_object, d.self_collision, d.inter_hand, d.table)
     if protocol.metrics.table_is_hand:
         deepest = min(deepest, d.object_table)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bidexdata.frames import matrix_from_quat, random_quat
-from bidexdata.validation.analytic import TipContacts, q1, qp_certificate
+from bidexdata.simulation.distances import HandContacts
+from bidexdata.validation.analytic import TipContacts, analytic_metrics, q1, qp_certificate
 
 FRAME_TOLERANCE = 0.03  # the eight edges of a cone turn with its tangents
 
@@ -43,6 +44,11 @@ def test_a_turned_grasp_has_the_same_qualities():
     turned = TipContacts(OCTAHEDRON.points @ R.T, OCTAHEDRON.normals_in @ R.T)
     assert q1(turned, 0.3) == pytest.approx(q1(OCTAHEDRON, 0.3), abs=FRAME_TOLERANCE)
     assert qp_certificate(turned, 0.3, 0.01) == pytest.approx(0, abs=1e-5)
+
+
+def test_without_a_contact_both_have_the_benchmark_s_worst_value():
+    nothing = HandContacts(*(np.zeros(0, int),) * 2, np.zeros(0), *(np.zeros((0, 3)),) * 2)
+    assert analytic_metrics((), nothing, (0.6, 0.02)) == (0.0, 2.0)
 
 
 def test_loads_along_the_line_of_two_opposed_contacts_are_balanced():

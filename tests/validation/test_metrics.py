@@ -11,7 +11,15 @@ from bidexdata.validation.metrics import grasp_metrics
 from bidexdata.validation.protocols import MetricRules
 
 
-def distances(fingers=(0.01, 0.01), bodies=((0.01,),), **depths):
+def bodies_at(hands, *near):
+    """Distances of all bodies: those named, without side prefix, and the cap for the others."""
+    return tuple(
+        np.array([at.get(name[3:], 0.01) for name in hand.body_names])
+        for hand, at in zip(hands, near, strict=True)
+    )
+
+
+def distances(fingers=(0.01, 0.01), bodies=(), **depths):
     zero = dict.fromkeys(("self_collision", "inter_hand", "table", "object_table"), 0.0)
     nothing = HandContacts(*(np.zeros(0, int),) * 2, np.zeros(0), *(np.zeros((0, 3)),) * 2)
     return Distances(
@@ -22,34 +30,41 @@ def distances(fingers=(0.01, 0.01), bodies=((0.01,),), **depths):
     )
 
 
-def test_figures_of_distances_computed_by_hand():
+def test_figures_of_distances_computed_by_hand(hands):
+    left = {"palm": 0.0019, "ffdistal": 0.0021, "mfdistal": -0.005, "ffknuckle": 0.0}
     d = distances(
         fingers=(0.004, -0.003, 0.01, 0.0),
-        bodies=((0.0019, 0.0021, -0.005), (0.002, 0.0)),
+        bodies=bodies_at(hands, left, {"palm": 0.002, "thdistal": 0.0}),
         hand_object=-0.005,
         self_collision=-0.001,
         inter_hand=-0.0025,
     )
-    m = grasp_metrics(d, MetricRules(contact_within=0.002))
+    m = grasp_metrics(d, MetricRules(contact_within=0.002), hands)
     assert m.pd == 0.005
     assert m.spd == 0.0025
     assert m.cdc == pytest.approx(0.013)
     assert m.contact_number == 3  # bodies deep inside count, unlike in DexGraspBench
     bench = MetricRules(contact_within=0.002, deep_counts=False)
-    assert grasp_metrics(d, bench).contact_number == 2
+    assert grasp_metrics(d, bench, hands).contact_number == 2
+    every = MetricRules(contact_within=0.002, uncounted_bodies=())
+    assert grasp_metrics(d, every, hands).contact_number == 4  # the knuckle too
     assert m.contact_distance == pytest.approx(0.014 / 4)
 
 
-def test_a_table_that_counts_as_a_hand_deepens_the_figures():
-    d = distances(hand_object=-0.001, table=-0.004, object_table=-0.003)
-    as_hand = grasp_metrics(d, MetricRules(table_is_hand=True))
+def test_a_table_that_counts_as_a_hand_deepens_the_figures(hands):
+    d = distances(
+        bodies=bodies_at(hands, {}, {}), hand_object=-0.001, table=-0.004, object_table=-0.003
+    )
+    as_hand = grasp_metrics(d, MetricRules(table_is_hand=True), hands)
     assert (as_hand.pd, as_hand.spd) == (0.003, 0.004)
-    apart = grasp_metrics(d, MetricRules())
+    apart = grasp_metrics(d, MetricRules(), hands)
     assert (apart.pd, apart.spd) == (0.001, 0)
 
 
-def test_without_any_contact_depths_are_zero_and_distances_at_the_cap():
-    m = grasp_metrics(distances(), MetricRules(contact_within=0.002))
+def test_without_any_contact_depths_are_zero_and_distances_at_the_cap(hands):
+    m = grasp_metrics(
+        distances(bodies=bodies_at(hands, {}, {})), MetricRules(contact_within=0.002), hands
+    )
     assert (m.pd, m.spd, m.cdc, m.contact_number, m.contact_distance) == (0, 0, 0, 0, 0.01)
 
 
