@@ -91,8 +91,8 @@ _ALL = (
     _f("verdict_status", "int8", "", "", "", "validate", "verdicts", "Status of the test: OK or the reason of the failure"),
     _f("failed_stage", "int8", "", "", "", "validate", "verdicts", "part of the test that failed: 0 start, 1 closing, 2 lift, 3 hold; -1 none"),
     _f("direction", "int8", "", "", "object", "validate", "verdicts", "first failing load direction of test f: 0..5 = +x -x +y -y +z -z; -1 none"),
-    _f("drift_pos", "float32", "", "m", "world", "validate", "verdicts", "largest displacement of the object at a check"),
-    _f("drift_rot", "float32", "", "rad", "world", "validate", "verdicts", "largest rotation of the object at a check"),
+    _f("drift_pos", "float32", "", "m", "world", "validate", "verdicts", "largest displacement of the object at a check or an early end"),
+    _f("drift_rot", "float32", "", "rad", "world", "validate", "verdicts", "largest rotation of the object at a check or an early end"),
     _f("time", "float32", "", "s", "", "validate", "verdicts", "simulated time of the failure since the start of its phase; NaN on success"),
     _f("load_margin", "float32", "", "", "", "validate", "verdicts", "largest multiple of the protocol's load on the object that holds; NaN = not measured"),
     _f("pd", "float32", "", "m", "", "validate", "verdicts", "deepest hand-object penetration at the grasp (paper, appendix D)"),
@@ -100,7 +100,7 @@ _ALL = (
     _f("cdc", "float32", "", "m", "", "validate", "verdicts", "largest minus smallest signed finger-object distance at the grasp"),
     _f("q1", "float32", "", "", "", "validate", "verdicts", "Ferrari-Canny quality of the fingertip contacts (DexGraspBench's Q1); NaN = not computed"),
     _f("qp_certificate", "float32", "", "", "", "validate", "verdicts", "mean wrench residual that OSQP certifies over six small forces (DexGraspBench's qp_metric); NaN = not computed"),
-    _f("contact_number", "int16", "", "", "", "validate", "verdicts", "hand bodies within the protocol's contact distance of the object"),
+    _f("contact_number", "int16", "", "", "", "validate", "verdicts", "palm, metacarpal and finger segments within the protocol's contact distance of the object"),
     _f("contact_distance", "float32", "", "m", "", "validate", "verdicts", "mean over fingers of the distance to the object"),
 )
 # fmt: on
