@@ -226,8 +226,9 @@ def _replay(
 
 
 def _renamed(protocol: Protocol, config: Path | None, assignments: list[str] | None) -> Protocol:
-    """Change settings of a protocol; refuse to do that under its own name."""
+    """Change settings of a protocol; refuse to do that under its own name, or a known one."""
     from bidexdata.errors import BadConfig
+    from bidexdata.validation.protocols import require_own_name
 
     changed = options.configured(protocol, config, assignments)
     if changed != protocol and changed.name == protocol.name:
@@ -235,4 +236,5 @@ def _renamed(protocol: Protocol, config: Path | None, assignments: list[str] | N
             f"--set and --config change protocol {protocol.name!r}, and other settings are another "
             "name: add --set name=NAME"
         )
+    require_own_name(changed, "--set and --config: ")
     return changed

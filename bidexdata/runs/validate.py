@@ -74,13 +74,16 @@ def validate_run(
         A report per test.
 
     Raises:
-        NotUsable: A test that the protocol or the setting does not allow, nothing to test, or
-            something that the back end does not do here.
+        NotUsable: A test that the protocol or the setting does not allow, nothing to test,
+            something that the back end does not do here, or other settings than those of the
+            known protocol of that name.
         MissingExtra: MuJoCo Warp is asked for and not installed.
         ConfigConflict: The run has verdicts of another protocol under this name.
     """
     from bidexdata.validation.backends import check_backend, on_backend
+    from bidexdata.validation.protocols import require_own_name
 
+    require_own_name(protocol)
     execution = execution or Execution()
     check_backend(protocol, backend, device, _how(extras))
     protocol = on_backend(protocol, backend, device)

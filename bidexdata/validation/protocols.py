@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -241,12 +241,37 @@ def _from_file(path: Path) -> Protocol:
     if base is not None:
         data = merge(to_plain(load_protocol(str(base))), data)
     protocol = protocol_from(data, str(path))
-    if protocol.name in protocol_names() and protocol != load_protocol(protocol.name):
+    require_own_name(protocol, f"{path}: ")
+    return protocol
+
+
+def require_own_name(protocol: Protocol, where: str = "") -> None:
+    """Refuse other settings under the name of a known protocol, or of it judged by another engine.
+
+    Args:
+        protocol: Any.
+        where: What the message begins with.
+
+    Raises:
+        NotUsable: The name is that of a known protocol and the settings are not.
+    """
+    from .named import NAMED
+
+    known = NAMED.get(protocol.name.removesuffix(WARP_SUFFIX))
+    if known is None:
+        return
+    if protocol.engine is not None:  # whose description says so in words of its own
+        known = replace(
+            known,
+            name=protocol.name,
+            description=protocol.description,
+            engine=protocol.engine,
+        )
+    if protocol != known:
         raise NotUsable(
-            f"{path}: {protocol.name!r} is the name of a protocol with other settings; choose "
+            f"{where}{protocol.name!r} is the name of a protocol with other settings; choose "
             "another name"
         )
-    return protocol
 
 
 def require_test(protocol: Protocol, test: str) -> None:

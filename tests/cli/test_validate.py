@@ -17,11 +17,12 @@ from bidexdata import BiDexDataset, Release, Run
 from bidexdata.cli.main import run
 from bidexdata.cli.report import validate_again
 from bidexdata.config import to_plain
-from bidexdata.errors import ConfigConflict
+from bidexdata.errors import ConfigConflict, NotUsable
 from bidexdata.pictures import sheet
 from bidexdata.runs.browse import open_browsable
 from bidexdata.runs.run import PROTOCOL_FILE, verdict_batch, verdict_fingerprint
 from bidexdata.runs.shards import read_mark, shard_path, write_shard
+from bidexdata.runs.validate import validate_run
 from bidexdata.validation import load_protocol
 from bidexdata.validation.protocols import Engine
 
@@ -96,6 +97,29 @@ def test_other_settings_under_a_stored_name_are_refused(floating, tmp_path, caps
 def test_set_needs_a_name_of_its_own(floating, capsys):
     assert run(["validate", str(floating), "--set", "hold=1.0", *INLINE]) == 3
     assert "--set name=NAME" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--protocol", "paper-1-mass500g", "--set", "name=paper-1"],
+        ["--set", "hold=1", "--set", "name=dexgraspbench-1"],
+        ["--set", "hold=1", "--set", "name=paper-1"],
+    ],
+)
+def test_a_published_name_never_stands_for_other_settings(floating, capsys, words):
+    before = sorted(floating.rglob("*.arrow"))
+    assert run(["validate", str(floating), *words, *INLINE]) == 3
+    assert "name" in capsys.readouterr().err
+    assert sorted(floating.rglob("*.arrow")) == before
+
+
+def test_validate_run_refuses_other_settings_under_a_published_name(floating):
+    paper = load_protocol("paper-1")
+    with pytest.raises(NotUsable, match="'paper-1' is the name of a protocol with other settings"):
+        validate_run(Run.open(floating), replace(paper, hold=1.0))
+    with pytest.raises(NotUsable, match="'dexgraspbench-1' is the name"):
+        validate_run(Run.open(floating), replace(paper, name="dexgraspbench-1"))
 
 
 def test_extra_columns_are_measured_once_asked_for_and_never_lost(library):
