@@ -194,6 +194,32 @@ class ReleaseSource:
         return tuple(_hand_of(header, self.path) for header in self.release.hands)
 
 
+def rows_by_test(
+    source: Browsable, object_id: str, batch: GraspBatch | None = None
+) -> dict[str, GraspBatch]:
+    """All stored rows of one object with the verdicts of each test that was run, first test first.
+
+    Args:
+        source: What is looked into.
+        object_id: Which object.
+        batch: Its rows with the verdicts of the first test, where they were read before.
+
+    Returns:
+        Batches of the same rows; one under `f`, without verdicts, where nothing is validated, and
+        none where there are no rows.
+    """
+    first = source.grasps(object_id) if batch is None else batch
+    if first is None:
+        return {}
+    found = {source.test or "f": first}
+    for test in source.tests[1:]:
+        rows = source.grasps(object_id, test)
+        assert rows is not None  # there are rows of the object
+        # A run that is being made may have more of them by now.
+        found[test] = rows.select(np.isin(rows["grasp_id"], first["grasp_id"]))
+    return found
+
+
 def verdicts_of(batch: GraspBatch) -> np.ndarray:
     """What became of each row: 1 passed, 0 failed (also before the test), -1 not tested, (N,)."""
     outcome = np.full(len(batch), -1)

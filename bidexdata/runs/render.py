@@ -18,7 +18,7 @@ import numpy as np
 from bidexdata.devices import check_device
 from bidexdata.errors import BadConfig, BadValue, NotUsable
 from bidexdata.record import GraspBatch
-from bidexdata.runs.browse import Browsable, open_browsable, verdicts_of
+from bidexdata.runs.browse import Browsable, open_browsable, rows_by_test, verdicts_of
 from bidexdata.runs.progress import Progress
 
 if TYPE_CHECKING:
@@ -230,21 +230,11 @@ def _grasp_frames(
                 drawn = draw_stages(*at, VIDEO_MOMENTS, **size)
             else:
                 drawn = [draw_grasp(*at, views=views, **size)]
-            caption = grasp_caption(_tested(source, shown), shown.row)
+            caption = grasp_caption(rows_by_test(source, shown.object_id, shown.batch), shown.row)
             for tiles, pixels in zip(frames, drawn, strict=True):
                 tiles.append(Tile(pixels, caption))
             progress.advance()
     return frames
-
-
-def _tested(source: Browsable, shown: Shown) -> dict[str, GraspBatch]:
-    """The batch of a chosen grasp with the verdicts of each test."""
-    tested = {source.test or "f": shown.batch}
-    for test in source.tests[1:]:
-        rows = source.grasps(shown.object_id, test)
-        assert rows is not None  # the batch is of the same object
-        tested[test] = rows
-    return tested
 
 
 def _object_tiles(
