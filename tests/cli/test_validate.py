@@ -211,6 +211,13 @@ def test_a_replay_gives_the_verdict_of_the_run_and_films_it(floating, tmp_path, 
     [
         (["--replay", "0" * 16], 3, "has no grasp"),
         (["--video", "x.mp4"], 2, "--replay"),
+        (
+            ["--replay", "0" * 16, "--load-margin", "--out", "x"],
+            3,
+            "leave out --out, --load-margin",
+        ),
+        (["--replay", "0" * 16, "--analytic"], 3, "leave out --analytic"),
+        (["--replay", "0" * 16, "--workers", "2", "--shard", "0/2"], 3, "--workers, --shard"),
         (["--protocol", "paper-2"], 3, "paper-1"),
         (["--protocol", "nowhere.yaml"], 3, "nowhere.yaml"),
     ],
