@@ -100,7 +100,7 @@ def test_nothing_imported_gives_6_with_the_reasons(bench, tmp_path, capsys):
         (
             ["import", "dexgraspbench", "{tmp}", "--out", "{tmp}/r", "--setting", "water"],
             3,
-            "floating and tabletop",
+            "one of floating, tabletop",
         ),
         (["import", "dexgraspbench"], 2, "PATH"),
         (["table", "{tmp}/no", "--out", "{tmp}/t.csv"], 3, "no such file or folder"),
