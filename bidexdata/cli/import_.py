@@ -49,6 +49,7 @@ def import_(
     tasks, tasks_before, tasks_failed, failures (file, reason), seconds.
     """
     from bidexdata.errors import NothingSucceeded
+    from bidexdata.formats.importers import load_format
     from bidexdata.record import Status
     from bidexdata.record.scene import setting_of
     from bidexdata.runs.import_ import ImportRequest, import_run
@@ -96,7 +97,9 @@ def import_(
     finish(
         data,
         lines,
-        following=command("validate", out, "--protocol", "dexgraspbench-1") if done else "",
+        following=command("validate", out, "--protocol", load_format(format).protocol)
+        if done
+        else "",
         as_json=as_json,
         quiet=quiet,
     )
