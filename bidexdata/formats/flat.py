@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bidexdata.formats.tables import METRICS, TESTS, of_first_test
+from bidexdata.formats.tables import METRICS, of_first_test
 from bidexdata.record import FIELDS, Field, Status
 from bidexdata.record.batch import fill_value
-from bidexdata.record.fields import columns_of_table, columns_written_by
+from bidexdata.record.fields import TESTS, columns_of_table, columns_written_by
 
 if TYPE_CHECKING:
     import pyarrow as pa

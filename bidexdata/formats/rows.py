@@ -14,7 +14,6 @@ from bidexdata.formats.tables import (
     GRASP_COLUMNS,
     METRICS,
     SORTED_BY,
-    TESTS,
     VERDICT_COLUMNS,
     contacts_schema,
     grasps_schema,
@@ -23,6 +22,7 @@ from bidexdata.formats.tables import (
 )
 from bidexdata.record import GraspBatch, Header, Status
 from bidexdata.record.batch import BadRecord, empty_columns
+from bidexdata.record.fields import TESTS
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -14,12 +14,11 @@ import numpy as np
 
 from bidexdata.record import FIELDS, Field, Header
 from bidexdata.record.batch import arrow_schema, field_metadata, fill_value
-from bidexdata.record.fields import columns_of_table, columns_written_by
+from bidexdata.record.fields import TESTS, columns_of_table, columns_written_by
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-TESTS = ("f", "l", "a")
 METRICS = ("pd", "spd", "cdc", "contact_number", "contact_distance")
 """Metrics of the default protocol, repeated in the grasps table from its verdict tables: each row's
 from the first test that was run on it."""

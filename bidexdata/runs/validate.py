@@ -17,6 +17,7 @@ import numpy as np
 from bidexdata.config import differing_keys, from_plain, to_plain
 from bidexdata.errors import ConfigConflict, NotUsable
 from bidexdata.record import Status
+from bidexdata.record.fields import ON_TABLE
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.plan import Task, take_shard
 from bidexdata.runs.run import (
@@ -123,14 +124,14 @@ def _for_one_device(execution: Execution) -> Execution:
 
 def allowed_tests(run: Run, protocol: Protocol, asked: Sequence[str]) -> tuple[str, ...]:
     """Tests to run: those asked for, or all that the protocol defines and the rows allow."""
-    fits = {"f": True, "l": run.spec.setting == "tabletop", "a": False}
+    from bidexdata.validation.protocols import require_test
+
+    here = [t for t in protocol.tests if t not in ON_TABLE or run.spec.setting == "tabletop"]
     if not asked:
-        return tuple(t for t in protocol.tests if fits.get(t, False))
+        return tuple(here)
     for test in asked:
-        if test not in protocol.tests:
-            known = ", ".join(protocol.tests)
-            raise NotUsable(f"protocol {protocol.name!r} has no test {test!r}; it has: {known}")
-        if not fits.get(test, False):
+        require_test(protocol, test)
+        if test not in here:
             raise NotUsable(f"test {test!r} cannot be run on {run.spec.setting} rows of {run.path}")
     return tuple(dict.fromkeys(asked))
 

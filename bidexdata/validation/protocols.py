@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from bidexdata.config import OMIT_NONE, from_plain, load_yaml, merge, to_plain
 from bidexdata.errors import BadConfig, NotUsable, UnknownName
-from bidexdata.record.fields import DIRECTIONS
+from bidexdata.record.fields import DIRECTIONS, JUDGED
 from bidexdata.simulation.settings import SceneSettings
 
 WARP_SUFFIX = "-warp"
@@ -91,7 +91,7 @@ class Protocol:
     """Under which verdicts are stored; other settings need another."""
     description: str
     """One sentence for `bidexdata protocols`."""
-    tests: tuple[str, ...] = ("f", "l")
+    tests: tuple[str, ...] = JUDGED
     """Tests that the protocol defines: f force closure, l lift off a table."""
     scene: SceneSettings = field(default_factory=SceneSettings)
 
@@ -139,9 +139,10 @@ class Protocol:
             raise BadConfig(f"protocol.limit_rot must be in (0, pi], not {self.limit_rot!r}")
         if self.steps_per_check < 1 or self.checks < 1:
             raise BadConfig("protocol.check_every must be at least a timestep and at most hold")
-        unknown = [t for t in self.tests if t not in ("f", "l")]
+        unknown = [t for t in self.tests if t not in JUDGED]
         if unknown or not self.tests:
-            raise BadConfig(f"protocol.tests may name f and l, not {list(self.tests)!r}")
+            known = " and ".join(JUDGED)
+            raise BadConfig(f"protocol.tests may name {known}, not {list(self.tests)!r}")
         wrong = [d for d in self.directions if d not in DIRECTIONS]
         if wrong or not self.directions:
             known = ", ".join(DIRECTIONS)
