@@ -78,6 +78,7 @@ def render(
     out: str | Path,
     *,
     only: Only | None = None,
+    protocol: str | None = None,
     count: int = DEFAULT_COUNT,
     views: int = 2,
     video: bool = False,
@@ -94,6 +95,7 @@ def render(
         path: A library, a run or a release.
         out: `.png`, `.jpg` or `.webp`; an animation is `.mp4`, `.gif` or an animated `.png`.
         only: Grasps that passed, or that failed.
+        protocol: Whose verdicts; when omitted a release's default, else `paper-1` or the only one.
         count: Pictures at most.
         views: Views of each grasp (an animation has one).
         video: Make an animation.
@@ -102,8 +104,9 @@ def render(
         quiet: No progress bar.
 
     Raises:
-        NotUsable: Nothing matches, there are no verdicts to choose by, there is no such device,
-            or pillow is missing.
+        NotUsable: Nothing matches, there are no verdicts to choose by, no saying whose are meant,
+            there is no such device, or pillow is missing.
+        UnknownName: There are no verdicts of the protocol.
         MissingExtra: An `.mp4` without the package that writes it.
         BadConfig: The file's ending is none of these.
         BadValue: `count` is not positive.
@@ -111,7 +114,7 @@ def render(
     """
     started = perf_counter()
     check_device(device)
-    source, out = open_browsable(path), Path(out)
+    source, out = open_browsable(path, protocol), Path(out)
     _check(out, source, only=only, count=count, video=video)
     from bidexdata.pictures.picture import drawn_by
     from bidexdata.pictures.sheet import FRAME_MS, contact_sheet, save_animation, save_picture

@@ -326,6 +326,29 @@ def test_a_release_is_packed_for_the_protocol_asked_for(judged_by_another, tmp_p
     assert Release.open(tmp_path / "c").default_protocol == "brief-1"
 
 
+def test_whose_verdicts_are_shown_is_one_rule_for_pictures_pages_and_tables(
+    floating, tmp_path, capsys
+):
+    both = tmp_path / "both"
+    shutil.copytree(floating, both)
+    for other in [f for f in (both / "validate").iterdir() if f.name != "paper-1"]:
+        shutil.rmtree(other)
+    shutil.copytree(both / "validate" / "paper-1", both / "validate" / "paper-1-density25")
+    picture = ["render", str(both), "--out", str(tmp_path / "a.png")]
+    assert open_browsable(both).protocol == "paper-1"
+    assert open_browsable(both, "paper-1-density25").protocol == "paper-1-density25"
+    shutil.rmtree(both / "validate" / "paper-1")
+    assert open_browsable(both).protocol == "paper-1-density25"
+    shutil.copytree(both / "validate" / "paper-1-density25", both / "validate" / "mine-1")
+    for words in (picture, ["view", str(both)], ["table", str(both), "--out", "t.csv"]):
+        assert run(words) == 3
+        assert "say which with --protocol: mine-1, paper-1-density25" in capsys.readouterr().err
+        assert run([*words, "--protocol", "none-1"]) == 3
+        assert "no protocol with verdicts here is called 'none-1'" in capsys.readouterr().err
+    with pytest.raises(NotUsable, match="it has no verdicts of 'paper-1'"):
+        open_browsable(Run.open(floating).library.path, "paper-1")
+
+
 def test_a_shard_of_one_engine_is_never_read_as_the_other_s(judged_by_another, tmp_path):
     folder = tmp_path / "mixed"
     shutil.copytree(judged_by_another, folder)
