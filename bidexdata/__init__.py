@@ -14,6 +14,7 @@ __version__ = "0.1.0"
 # Public name -> the module that defines it.
 _PUBLIC = {
     "BiDexDataset": "bidexdata.loaders.dataset",
+    "Execution": "bidexdata.runs.stage",
     "GraspBatch": "bidexdata.record",
     "Hand": "bidexdata.hands.model",
     "HandModel": "bidexdata.hands.torch_layer",
@@ -21,13 +22,17 @@ _PUBLIC = {
     "Library": "bidexdata.objects.library",
     "Release": "bidexdata.formats.release",
     "Run": "bidexdata.runs.run",
+    "SynthRequest": "bidexdata.runs.synth",
+    "describe": "bidexdata.runs.info",
     "import_run": "bidexdata.runs.import_",
     "load_hand": "bidexdata.hands",
     "load_hands": "bidexdata.hands",
+    "load_preset": "bidexdata.synthesis.presets",
     "load_protocol": "bidexdata.validation.protocols",
     "pack_runs": "bidexdata.runs.pack",
     "prepare_library": "bidexdata.runs.prepare",
     "prepare_object": "bidexdata.objects.prepare",
+    "render": "bidexdata.runs.render",
     "synth_library": "bidexdata.runs.synth",
     "synthesize": "bidexdata.synthesis.pipeline",
     "validate_grasps": "bidexdata.validation.validate",
@@ -49,13 +54,18 @@ if TYPE_CHECKING:
     from bidexdata.record import GraspBatch as GraspBatch
     from bidexdata.runs.import_ import ImportRequest as ImportRequest
     from bidexdata.runs.import_ import import_run as import_run
+    from bidexdata.runs.info import describe as describe
     from bidexdata.runs.pack import pack_runs as pack_runs
     from bidexdata.runs.prepare import prepare_library as prepare_library
+    from bidexdata.runs.render import render as render
     from bidexdata.runs.run import Run as Run
+    from bidexdata.runs.stage import Execution as Execution
+    from bidexdata.runs.synth import SynthRequest as SynthRequest
     from bidexdata.runs.synth import synth_library as synth_library
     from bidexdata.runs.table import write_table as write_table
     from bidexdata.runs.validate import validate_run as validate_run
     from bidexdata.synthesis.pipeline import synthesize as synthesize
+    from bidexdata.synthesis.presets import load_preset as load_preset
     from bidexdata.validation.protocols import load_protocol as load_protocol
     from bidexdata.validation.validate import validate_grasps as validate_grasps
 

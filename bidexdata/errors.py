@@ -74,12 +74,18 @@ class UnknownKey(BadConfig):
 
 
 class MissingExtra(NotUsable):
-    """A package that an optional extra brings is not installed."""
+    """A package that the core does not bring is not installed.
 
-    def __init__(self, package: str, extra: str):
+    Args:
+        package: Its name.
+        extra: The extra that brings it; empty where the package alone is what is missing.
+    """
+
+    def __init__(self, package: str, extra: str = ""):
         self.package, self.extra = package, extra
+        wanted = f"'bidexdata[{extra}]'" if extra else package
         super().__init__(
-            f"this needs the package {package!r}; install it with: pip install 'bidexdata[{extra}]'"
+            f"this needs the package {package!r}; install it with: pip install {wanted}"
         )
 
 

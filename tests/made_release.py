@@ -218,8 +218,7 @@ def made_release(out: Path, object_ids=OBJECTS, *, runs=None, **options) -> Path
         load_object=made_object,
         hands=rows.get("hands") or made_hands(),
         runs=runs or [RunInfo("run", "f" * 16, PER_SCENE, 4 * PER_SCENE, config={"a": 1})],
-        tests=[PAPER_F],
-        **options,
+        **{"tests": [PAPER_F], **options},
     )
     return out
 

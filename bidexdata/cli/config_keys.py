@@ -51,15 +51,17 @@ def config_groups(config: Any, name: str = "", meaning: str = "") -> Iterator[Co
     """Yield the groups of a nested configuration, each before those in it, and their keys."""
     from bidexdata.config import to_plain
 
-    texts = _field_texts(type(config))
+    texts, plain = _field_texts(type(config)), to_plain(config)
     keys, inner = [], []
     for field in dataclasses.fields(config):
+        if field.name not in plain:  # left out where it is None: no key of `--set`
+            continue
         value, text = getattr(config, field.name), texts.get(field.name, "")
         key = f"{name}.{field.name}" if name else field.name
         if dataclasses.is_dataclass(value):
             inner.append((value, key, text or _first_line(value)))
         else:
-            keys.append(ConfigKey(key, to_plain(value), *_parts_of(text)))
+            keys.append(ConfigKey(key, plain[field.name], *_parts_of(text)))
     if keys:
         yield ConfigGroup(name, meaning, tuple(keys))
     for value, key, text in inner:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import typer
 
@@ -48,17 +48,17 @@ def import_(
     --json keys: run, fingerprint, files, files_failed, n, left_out, objects, objects_failed,
     tasks, tasks_before, tasks_failed, failures (file, reason), seconds.
     """
-    from bidexdata.errors import NothingSucceeded, NotUsable
+    from bidexdata.errors import NothingSucceeded
+    from bidexdata.formats.importers import load_format
     from bidexdata.record import Status
+    from bidexdata.record.scene import setting_of
     from bidexdata.runs.import_ import ImportRequest, import_run
 
-    if setting not in ("floating", "tabletop"):
-        raise NotUsable(f"--setting {setting!r}: the settings are floating and tabletop")
     request = ImportRequest(
         format=format,
         path=path,
         hand=hand,
-        setting=cast("Any", setting),
+        setting=setting_of(setting),
         objects=objects,
         limit=limit,
     )
@@ -97,7 +97,9 @@ def import_(
     finish(
         data,
         lines,
-        following=command("validate", out, "--protocol", "dexgraspbench-1") if done else "",
+        following=command("validate", out, "--protocol", load_format(format).protocol)
+        if done
+        else "",
         as_json=as_json,
         quiet=quiet,
     )

@@ -35,7 +35,7 @@ def info(
     An imported run has the key files too: read, failed, left_out (grasps), failures (file, reason).
 
     --json keys: kind, path and, for a library: fingerprint, inputs, objects, hulls, by_status,
-    failures; a run: fingerprint, hand, preset, setting, rest_poses, without_scene (objects that no
+    failures (source_name, status, reason); a run: fingerprint, hand, preset, setting, rest_poses, without_scene (objects that no
     scene could be made of), sizes_mm, grasps, candidates, seed, objects, tasks, done (per stage),
     made_with (per stage: a list of tasks, device, device_name and package versions), figures,
     protocols; a release: name, version, schema_version, default_protocol, tests, splits, hands,

@@ -42,6 +42,13 @@ Assignments = Annotated[
         "synth, `bidexdata presets prepare` for prepare, `bidexdata protocols paper-1` for validate.",
     ),
 ]
+ProtocolName = Annotated[
+    str | None,
+    typer.Option(
+        "--protocol",
+        help="Whose verdicts; when left out a release's default, else paper-1 or the only ones.",
+    ),
+]
 Json = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on standard output, nothing else.")
 ]

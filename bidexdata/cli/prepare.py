@@ -45,13 +45,12 @@ def prepare(
     each the same inputs and another part; the part that finishes last writes the index, and the
     library is the one that a single machine makes.
 
-    --json keys: library, inputs, prepared, hulls, resumed, by_status, failures, waiting (inputs of
-    other parts that are not done), seconds, fingerprint. While some are waiting, the others count
-    this part only.
+    --json keys: library, inputs, prepared, hulls, resumed, by_status, failures (source_name, status,
+    reason; a duplicate is none), waiting (inputs of other parts that are not done), seconds,
+    fingerprint. While some are waiting, the others count this part only.
     """
     from bidexdata.errors import NothingSucceeded
     from bidexdata.objects.config import PrepareConfig
-    from bidexdata.record import Status
     from bidexdata.runs.prepare import prepare_library
 
     changes = [*(assignments or []), *([] if seed is None else [f"surface.seed={seed}"])]
@@ -66,13 +65,12 @@ def prepare(
         shard=options.parse_shard(shard),
         quiet=quiet,
     )
-    failed = [r for r in report.rows if r["status"] not in (Status.OK, Status.DUPLICATE)]
-    failures = [{k: r[k] for k in ("source_name", "status_label", "reason")} for r in failed]
+    data = report.as_dict()
     if dry_run:
         lines = [str(r["source_name"]) for r in report.rows]
         lines.append(f"{counted(len(report.rows), 'input')}; nothing was written")
     else:
-        lines = [f"{r['source_name']}: {r['reason']}" for r in failed]
+        lines = [f"{r['source_name']}: {r['reason']}" for r in data["failures"]]
         lines.append(
             f"{report.prepared} of {counted(len(report.rows), 'input')} prepared "
             f"({counts_text(report.by_status)}; {report.hulls} replaced by the hull) "
@@ -86,7 +84,7 @@ def prepare(
     good = dry_run or report.prepared > 0 or report.waiting > 0
     finished = good and not dry_run and not report.waiting
     finish(
-        {**report.as_dict(), "failures": failures},
+        data,
         lines,
         following=command("synth", out, "--out", "RUN") if finished else "",
         as_json=as_json,

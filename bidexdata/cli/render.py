@@ -23,6 +23,7 @@ def render(
     only: Annotated[
         str | None, typer.Option(help="success or failure: what the test said of the grasps.")
     ] = None,
+    protocol: options.ProtocolName = None,
     count: Annotated[int, typer.Option(min=1, help="Pictures at most.")] = 12,
     views: Annotated[int, typer.Option(min=1, max=4, help="Views of each grasp.")] = 2,
     video: Annotated[
@@ -55,6 +56,7 @@ def render(
         path,
         out,
         only=cast("Only | None", only),
+        protocol=protocol,
         count=count,
         views=views,
         video=video,

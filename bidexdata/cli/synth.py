@@ -19,8 +19,6 @@ from bidexdata.cli.report import (
 )
 from bidexdata.wording import counted
 
-PAPER_SIZES = "0.3,0.35,0.4,0.45,0.5,0.55,0.6,0.65,0.7,0.75,0.8"
-
 
 def synth(
     library: Annotated[Path, typer.Argument(metavar="LIBRARY", help="Made by prepare.")],
@@ -32,8 +30,12 @@ def synth(
         typer.Option(help="NAME or LEFT,RIGHT; `bidexdata hands` lists them; a spec file works."),
     ] = "shadow",
     sizes: Annotated[
-        str, typer.Option(help="Bounding-box diagonals in metres, separated by commas.")
-    ] = PAPER_SIZES,
+        str | None,
+        typer.Option(
+            help="Bounding-box diagonals in metres, separated by commas; by default the paper's "
+            "eleven, 0.3 to 0.8 in steps of 0.05."
+        ),
+    ] = None,
     grasps: Annotated[
         int | None, typer.Option(min=1, help="Grasps kept per scene (10); may grow on a run.")
     ] = None,
@@ -69,21 +71,19 @@ def synth(
     loading of packages and hands and the start of the workers.
     """
     started = time.perf_counter()
-    from bidexdata.errors import NotUsable
+    from bidexdata.record.scene import setting_of
     from bidexdata.runs.run import Run
-    from bidexdata.runs.synth import SynthRequest, synth_library
+    from bidexdata.runs.synth import PAPER_SIZES_MM, SynthRequest, synth_library
     from bidexdata.synthesis.presets import load_preset
 
-    if setting not in ("floating", "tabletop"):
-        raise NotUsable(f"--setting {setting!r}: the settings are floating and tabletop")
-    sizes_mm = options.parse_sizes(sizes)
+    sizes_mm = PAPER_SIZES_MM if sizes is None else options.parse_sizes(sizes)
     execution = options.execution_of(executor, workers, shard, quiet)
     request = SynthRequest(
         config=options.configured(load_preset(preset), config, assignments),
         preset=preset,
         hand=hand,
         sizes_mm=sizes_mm,
-        setting="tabletop" if setting == "tabletop" else "floating",
+        setting=setting_of(setting),
         rest_poses=rest_poses,
         grasps=grasps,
         candidates=candidates,

@@ -15,10 +15,7 @@ from bidexdata.wording import counted
 def table(
     path: Annotated[Path, typer.Argument(metavar="PATH", help="A library, a run or a release.")],
     out: Annotated[Path, typer.Option(metavar="FILE", help="A .csv or .parquet file.")],
-    protocol: Annotated[
-        str | None,
-        typer.Option(help="Whose verdicts; paper-1, or the only one, when left out."),
-    ] = None,
+    protocol: options.ProtocolName = None,
     as_json: options.Json = False,
     quiet: options.Quiet = False,
     debug: options.Debug = False,

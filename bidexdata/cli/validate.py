@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -87,7 +87,18 @@ def validate(
     rules = _renamed(load_protocol(protocol), config, assignments)
     named = options.parse_words(tests)
     if replay is not None:
-        _require_watchable(backend, device)
+        _require_watchable(
+            {
+                "--backend": backend != "mujoco",
+                "--device": device is not None,
+                "--out": out is not None,
+                "--load-margin": load_margin,
+                "--analytic": analytic,
+                "--workers": workers != 0,
+                "--executor": executor != "processes",
+                "--shard": shard is not None,
+            }
+        )
         _replay(path, replay, rules, named, video, as_json=as_json, quiet=quiet)
         return
     if video is not None:
@@ -104,13 +115,15 @@ def validate(
     )
 
 
-def _require_watchable(backend: str, device: str | None) -> None:
+def _require_watchable(given: Mapping[str, bool]) -> None:
+    """Refuse options that mean nothing for one grasp that is looked at."""
     from bidexdata.errors import NotUsable
 
-    if backend != "mujoco" or device is not None:
+    named = [option for option, is_given in given.items() if is_given]
+    if named:
         raise NotUsable(
-            "--replay looks on while MuJoCo's C engine tests a grasp: leave out --backend and "
-            "--device"
+            "--replay looks on while MuJoCo's C engine tests one grasp and stores nothing: leave "
+            f"out {', '.join(named)}"
         )
 
 
@@ -178,7 +191,7 @@ def _validate(
             )
         warn_of_failed(report, run.path)
     following = command("info", run.path)
-    if run.spec.kind == "synth":
+    if run.spec.kind != "release":  # a re-test holds no rows of its own
         named = () if rules.name == DEFAULT_PROTOCOL else ("--protocol", rules.name)
         following = command(
             *("pack", run.path, "--out", "RELEASE", "--name", "NAME", "--version", "1.0.0"), *named
@@ -226,8 +239,9 @@ def _replay(
 
 
 def _renamed(protocol: Protocol, config: Path | None, assignments: list[str] | None) -> Protocol:
-    """Change settings of a protocol; refuse to do that under its own name."""
+    """Change settings of a protocol; refuse to do that under its own name, or a known one."""
     from bidexdata.errors import BadConfig
+    from bidexdata.validation.protocols import require_own_name
 
     changed = options.configured(protocol, config, assignments)
     if changed != protocol and changed.name == protocol.name:
@@ -235,4 +249,5 @@ def _renamed(protocol: Protocol, config: Path | None, assignments: list[str] | N
             f"--set and --config change protocol {protocol.name!r}, and other settings are another "
             "name: add --set name=NAME"
         )
+    require_own_name(changed, "--set and --config: ")
     return changed

@@ -13,6 +13,7 @@ from bidexdata.cli.report import finish, warn
 
 def view(
     path: Annotated[Path, typer.Argument(metavar="LIBRARY|RUN|RELEASE", help="What to show.")],
+    protocol: options.ProtocolName = None,
     port: Annotated[
         int, typer.Option(min=1, max=65535, help="Where to listen; the next free port if taken.")
     ] = 8080,
@@ -33,7 +34,7 @@ def view(
 
     from bidexdata.viewer.app import serve, wait_until_interrupted
 
-    server = serve(path, host, port, block=False)
+    server = serve(path, protocol=protocol, host=host, port=port, block=False)
     taken = server.get_port()
     if taken != port:
         warn(f"port {port} is taken; using {taken}")

@@ -12,16 +12,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bidexdata.formats.tables import METRICS, TESTS
+from bidexdata.formats.tables import METRICS, of_first_test
 from bidexdata.record import FIELDS, Field, Status
 from bidexdata.record.batch import fill_value
-from bidexdata.record.fields import columns_of_table, columns_written_by
+from bidexdata.record.fields import TESTS, columns_of_table, columns_written_by
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 MEASURED = (*METRICS, "q1", "qp_certificate")
-"""Verdict columns that are measured at the grasp and do not depend on the test."""
+"""Verdict columns that are measured at the grasp and do not depend on the test; a row's are from the
+first test that was run on it."""
 GRASP = tuple(n for n in columns_of_table("grasps") if not FIELDS[n].axes)
 PER_TEST = tuple(
     n for n in columns_written_by("validate") if not FIELDS[n].axes and n not in MEASURED
@@ -83,26 +84,27 @@ def flat_rows(
     import pyarrow as pa
 
     n = len(columns["grasp_id"])
-    measured = next((verdicts[t] for t in TESTS if t in verdicts), None)
+    tests = [verdicts[test] for test in TESTS if test in verdicts]
     arrays: dict[str, Any] = {"protocol": pa.array([protocol or None] * n, pa.string())}
     for column in flat_columns():
         name = column.field.name
         if name in GRASP:
             values, known = columns.get(name), np.ones(n, bool)
+        elif not column.test:
+            values, known = of_first_test(name, n, tests), np.ones(n, bool)
+        elif column.test in verdicts:
+            values, known = verdicts[column.test].columns.get(name), verdicts[column.test].tested
         else:
-            found = verdicts.get(column.test) if column.test else measured
-            values, known = (found.columns.get(name), found.tested) if found else (None, None)
+            values, known = None, np.zeros(n, bool)
         arrays[column.name] = _array(column, values, known, n)
     schema = flat_schema()
     return pa.Table.from_arrays([arrays[name] for name in schema.names], schema=schema)
 
 
-def _array(
-    column: FlatColumn, values: np.ndarray | None, known: np.ndarray | None, n: int
-) -> pa.Array:
+def _array(column: FlatColumn, values: np.ndarray | None, known: np.ndarray, n: int) -> pa.Array:
     import pyarrow as pa
 
-    if values is None or known is None:
+    if values is None:
         return pa.nulls(n, _kind(column))
     empty = ~known | _is_fill(column.field, values)
     if column.is_label:

@@ -238,6 +238,22 @@ class Release:
         empty = next(self.batches(configuration, split, protocol, test))
         return empty.select(slice(0, 0))
 
+    def stored(
+        self, object_id: str | None = None, *, protocol: str | None = None, test: str = "f"
+    ) -> GraspBatch:
+        """Read every stored row once: selected rows, then audit rows that are not selected too.
+
+        Args:
+            object_id: One object; all when omitted.
+            protocol: Protocol of the verdict columns; the release's default when omitted.
+            test: `f`, `l` or `a`.
+        """
+        parts = []
+        for configuration in self.configurations:
+            rows = self.grasps(object_id, configuration=configuration, protocol=protocol, test=test)
+            parts.append(rows.select(~rows["selected"]) if configuration == "audit" else rows)
+        return GraspBatch.concat(parts)
+
     def batches(
         self,
         configuration: str = "selected",

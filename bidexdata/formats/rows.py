@@ -14,14 +14,15 @@ from bidexdata.formats.tables import (
     GRASP_COLUMNS,
     METRICS,
     SORTED_BY,
-    TESTS,
     VERDICT_COLUMNS,
     contacts_schema,
     grasps_schema,
+    of_first_test,
     verdicts_schema,
 )
 from bidexdata.record import GraspBatch, Header, Status
 from bidexdata.record.batch import BadRecord, empty_columns
+from bidexdata.record.fields import TESTS
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -130,10 +131,10 @@ def grasps_table(rows: ObjectRows, protocol: str) -> pa.Table:
         tested = rows.tested.get(key, np.zeros(n, bool))
         success = rows.verdicts[key]["success"] if key in rows.verdicts else np.zeros(n, bool)
         columns[f"suc_{test}"] = pa.array(success, pa.bool_(), mask=~tested)
-    measured = next(((protocol, t) for t in TESTS if (protocol, t) in rows.verdicts), None)
-    source = rows.verdicts[measured] if measured else empty_columns(rows.batch.header, METRICS, n)
+    keys = [(protocol, test) for test in TESTS if (protocol, test) in rows.verdicts]
+    tests = [(rows.verdicts[key], rows.tested[key]) for key in keys]
     for name in METRICS:
-        columns[name] = pa.array(source[name])
+        columns[name] = pa.array(of_first_test(name, n, tests))
     return pa.Table.from_arrays([_array(columns[f.name]) for f in schema], schema=schema)
 
 

@@ -7,18 +7,21 @@ generated from both lists.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from bidexdata.record import FIELDS, Field, Header
-from bidexdata.record.batch import arrow_schema, field_metadata
-from bidexdata.record.fields import columns_of_table, columns_written_by
+from bidexdata.record.batch import arrow_schema, field_metadata, fill_value
+from bidexdata.record.fields import TESTS, columns_of_table, columns_written_by
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-TESTS = ("f", "l", "a")
 METRICS = ("pd", "spd", "cdc", "contact_number", "contact_distance")
-"""Metrics of the default protocol, repeated in the grasps table from its verdict table."""
+"""Metrics of the default protocol, repeated in the grasps table from its verdict tables: each row's
+from the first test that was run on it."""
 CONFIGURATIONS = ("selected", "audit")
 SORTED_BY = ("object_id", "size_mm", "scene_id", "grasp_id")
 """Order of the rows in the grasps, contacts and verdict tables."""
@@ -110,6 +113,25 @@ def plain_schema(fields: tuple[Field, ...]) -> pa.Schema:
     import pyarrow as pa
 
     return pa.schema([_arrow_field(f) for f in fields])
+
+
+def of_first_test(
+    name: str, n: int, tests: Iterable[tuple[Mapping[str, np.ndarray], np.ndarray]]
+) -> np.ndarray:
+    """Give a verdict column as the first test says that was run on each row.
+
+    Args:
+        name: A column of one number per row that does not depend on the test.
+        n: Number of rows; those that no test was run on have the value for "no value".
+        tests: In order of preference, columns by name and the rows that the test was run on, (N,).
+    """
+    values = np.full(n, fill_value(FIELDS[name]), FIELDS[name].dtype)
+    left = np.ones(n, bool)
+    for columns, tested in tests:
+        if name in columns:
+            values[left & tested] = columns[name][left & tested]
+            left &= ~tested
+    return values
 
 
 def column_field(name: str) -> Field:

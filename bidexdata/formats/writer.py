@@ -47,6 +47,7 @@ from bidexdata.objects.library import object_folder
 from bidexdata.objects.prepared import PreparedObject
 from bidexdata.objects.storage import write_solid
 from bidexdata.record import Header
+from bidexdata.record.fields import TESTS
 
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
@@ -213,7 +214,7 @@ def _write_rows(
 ) -> dict[str, Any]:
     """Write grasps, contacts, verdicts and scenes; give the figures."""
     wanted = {run.name: run.grasps for run in runs}
-    tally = Tally(tuple(t for t in tables.TESTS if (protocol, t) in tests) or ("f",))
+    tally = Tally(tuple(t for t in TESTS if (protocol, t) in tests) or ("f",))
     writers = {
         (configuration, split): _ConfigurationWriter(root, configuration, split, header, tests)
         for configuration in CONFIGURATIONS

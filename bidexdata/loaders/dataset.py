@@ -271,4 +271,4 @@ class BiDexDataset:
 
 def _require_torch() -> None:
     if find_spec("torch") is None:
-        raise MissingExtra("torch", "synth")
+        raise MissingExtra("torch")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import socket
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -131,6 +131,18 @@ class Library:
                 "delete the folder and run `bidexdata prepare` again"
             )
         return folder
+
+
+def failures_of(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
+    """What `--json` says of index rows without an object: `source_name`, `status`, `reason`.
+
+    A duplicate is no failure: its object is there.
+    """
+    return [
+        {"source_name": r["source_name"], "status": r["status_label"], "reason": r["reason"]}
+        for r in rows
+        if r["status"] not in (Status.OK, Status.DUPLICATE)
+    ]
 
 
 def object_folder(object_id: str) -> Path:

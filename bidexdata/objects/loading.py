@@ -124,8 +124,7 @@ def _read(path: Path, suffix: str) -> tuple[NDArray[np.float64], NDArray[np.int3
 
     try:
         loaded: Any = trimesh.load(path, file_type=suffix[1:], process=False)
-        if isinstance(loaded, trimesh.Scene):
-            loaded = _flatten(loaded)
+        parts = _parts(loaded) if isinstance(loaded, trimesh.Scene) else [_part(loaded)]
     except MemoryError as err:
         raise PrepareFailure(Status.TOO_COMPLEX, "reading it needs too much memory") from err
     except ImportError as err:
@@ -139,36 +138,50 @@ def _read(path: Path, suffix: str) -> tuple[NDArray[np.float64], NDArray[np.int3
         # end a run for one bad mesh. Only the calls into them stand in this block.
         text = (str(err).strip() or type(err).__name__).splitlines()[0][:200]
         raise PrepareFailure(Status.UNREADABLE, f"{type(err).__name__}: {text}") from err
-    faces = getattr(loaded, "faces", None)
-    vertices = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), np.float64)
-    if faces is None or len(faces) == 0:
-        raise PrepareFailure(Status.NO_FACES, f"{len(vertices)} vertices and no face")
-    faces = np.asarray(faces, np.int64)
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise PrepareFailure(Status.UNREADABLE, "a face names a vertex that does not exist")
-    return vertices, faces.astype(np.int32)
+    return _joined(parts)
 
 
-def _flatten(scene: Any) -> Any:
-    """All triangles of a scene in world coordinates, without merging any vertex.
+class _Part(NamedTuple):
+    """Triangles of one part of a file, as the parser gives them."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    T_world_part: NDArray[np.float64] | None
+    """None where the file has one part, in world coordinates."""
+
+
+def _part(geometry: Any, T_world_part: Any = None) -> _Part:
+    """What is no mesh, such as a path or a cloud, has no faces."""
+    vertices, faces = (getattr(geometry, name, None) for name in ("vertices", "faces"))
+    return _Part(
+        np.asarray(np.zeros((0, 3)) if vertices is None else vertices, np.float64),
+        np.asarray(np.zeros((0, 3)) if faces is None else faces, np.int64),
+        None if T_world_part is None else np.asarray(T_world_part, np.float64),
+    )
+
+
+def _parts(scene: Any) -> list[_Part]:
+    places = (scene.graph[name] for name in scene.graph.nodes_geometry)
+    return [_part(scene.geometry[geometry], T_world_part) for T_world_part, geometry in places]
+
+
+def _joined(parts: list[_Part]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """All triangles in world coordinates, without merging any vertex.
 
     Mirrored parts are wound anew so that their faces keep pointing out.
     """
-    vertices, faces, count = [], [], 0
-    for name in scene.graph.nodes_geometry:
-        T_world_part, geometry = scene.graph[name]
-        part = scene.geometry[geometry]
-        if getattr(part, "faces", None) is None or len(part.faces) == 0:
-            continue
-        points = np.asarray(part.vertices, np.float64)
-        own = np.asarray(part.faces, np.int64)
-        if len(own) and (own.min() < 0 or own.max() >= len(points)):
-            raise IndexError("a face names a vertex that does not exist")
-        if np.linalg.det(T_world_part[:3, :3]) < 0:
-            own = own[:, ::-1]
-        vertices.append(points @ T_world_part[:3, :3].T + T_world_part[:3, 3])
+    vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
+    for part in (p for p in parts if len(p.faces)):
+        own, points, T_world_part = part.faces, part.vertices, part.T_world_part
+        if own.min() < 0 or own.max() >= len(points):
+            raise PrepareFailure(Status.UNREADABLE, "a face names a vertex that does not exist")
+        if T_world_part is not None:
+            own = own[:, ::-1] if np.linalg.det(T_world_part[:3, :3]) < 0 else own
+            points = points @ T_world_part[:3, :3].T + T_world_part[:3, 3]
+        vertices.append(points)
         faces.append(own + count)
         count += len(points)
-    if not vertices:
-        return TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
-    return TriangleMesh(np.concatenate(vertices), np.concatenate(faces).astype(np.int32))
+    if len(faces) == 1:
+        found = sum(len(p.vertices) for p in parts)
+        raise PrepareFailure(Status.NO_FACES, f"{found} vertices and no face")
+    return np.concatenate(vertices), np.concatenate(faces).astype(np.int32)

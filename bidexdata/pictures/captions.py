@@ -24,9 +24,13 @@ def grasp_caption(tested: Mapping[str, GraspBatch], row: int) -> Caption:
     grasp = f"grasp {batch['grasp_id'][row]}"
     if "selected" in batch and not batch["selected"][row]:
         grasp += "  (audit)"
-    # An attempt that failed before any test is said once.
-    said = dict(verdict_words(rows, row, test=test) for test, rows in tested.items())
+    said = verdicts_words(tested, row)
     return Caption(head, (grasp, *said), tuple(said.values()))
+
+
+def verdicts_words(tested: Mapping[str, GraspBatch], row: int) -> dict[str, bool | None]:
+    """Say what became of a row in each test; an attempt that failed before any is said once."""
+    return dict(verdict_words(rows, row, test=test) for test, rows in tested.items())
 
 
 def verdict_words(batch: GraspBatch, row: int, *, test: str = "f") -> tuple[str, bool | None]:

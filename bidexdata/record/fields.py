@@ -15,6 +15,14 @@ SIDES = ("left", "right")
 DIRECTIONS = ("+x", "-x", "+y", "-y", "+z", "-z")
 """Loads of test f, along the object's axes, in the order that the column `direction` counts."""
 
+TESTS = ("f", "l", "a")
+"""Tests that a grasp may have verdicts of: force closure, lift off a table, lift with arms. In the
+order in which one stands for all where a single one is shown."""
+JUDGED = ("f", "l")
+"""Those of them that can be run."""
+ON_TABLE = ("l",)
+"""Those of them whose scene has the table, so that rows must be of tabletop scenes."""
+
 Dtype = Literal["string", "bool", "int8", "int16", "int32", "int64", "float32"]
 Table = Literal["grasps", "contacts", "verdicts", "arms", "objects", "scenes", "runs"]
 

@@ -1,8 +1,9 @@
 """Success rates with intervals.
 
-A rate without an interval says little, and grasps of one object fail together: where there are
-enough objects the interval resamples objects, otherwise it is Wilson's, which is too narrow for
-clustered rows. Every rate names its method.
+A rate without an interval says little, and grasps of one object fail together: the interval is over
+objects (`intervals`: `object bootstrap`, `object t`), as that of a mean. Where objects do not differ,
+or there is one only, it is Wilson's, `wilson`, which takes grasps for independent. Every rate names
+its method.
 """
 
 from __future__ import annotations
@@ -12,14 +13,7 @@ from dataclasses import asdict, dataclass
 from math import sqrt
 from typing import Any, Literal
 
-import numpy as np
-
-Z95 = 1.959963984540054
-"""Half width of the central 95 % of the normal distribution [-]."""
-MIN_CLUSTERS = 10
-"""Objects below which a bootstrap over objects says nothing [-]. Source: our choice."""
-RESAMPLES = 2000
-"""Bootstrap resamples; 95 % bounds then repeat to about 0.2 percentage points. Source: ours."""
+from bidexdata.record.intervals import Z95, ObjectMethod, object_interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +25,7 @@ class Rate:
     rate: float
     low: float
     high: float
-    method: Literal["wilson", "object bootstrap"] = "wilson"
+    method: ObjectMethod | Literal["wilson"] = "wilson"
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON: NaN becomes None."""
@@ -68,7 +62,7 @@ def rate_interval(k: int, n: int) -> Rate:
 
 
 def clustered_interval(k: Sequence[int], n: Sequence[int], seed: int = 0) -> Rate:
-    """Give the pooled rate of clusters with an interval that resamples whole clusters.
+    """Give the pooled rate of clusters with an interval over clusters.
 
     Args:
         k: Successes per cluster (object).
@@ -76,18 +70,14 @@ def clustered_interval(k: Sequence[int], n: Sequence[int], seed: int = 0) -> Rat
         seed: Seed of the bootstrap, so that a card repeats.
 
     Returns:
-        A percentile bootstrap over clusters, or Wilson's interval below `MIN_CLUSTERS` of them or
-        where all clusters agree (a bootstrap of equal clusters has no width).
+        The interval over clusters, cut to what a rate can be, or Wilson's where all clusters agree
+        (an interval over equal clusters has no width) or there is one only.
     """
-    ks, ns = np.asarray(k, np.int64), np.asarray(n, np.int64)
-    ks, ns = ks[ns > 0], ns[ns > 0]
-    pooled = rate_interval(int(ks.sum()), int(ns.sum()))
-    if len(ns) < MIN_CLUSTERS or pooled.k in (0, pooled.n):
+    pairs = [(int(a), int(b)) for a, b in zip(k, n, strict=True) if b > 0]
+    ks, ns = [a for a, _ in pairs], [b for _, b in pairs]
+    pooled = rate_interval(sum(ks), sum(ns))
+    found = object_interval(ks, ns, seed=seed)
+    if found is None:
         return pooled
-    rng = np.random.default_rng(seed)
-    draws = np.empty(RESAMPLES)
-    for r in range(RESAMPLES):
-        chosen = rng.integers(0, len(ns), len(ns))
-        draws[r] = ks[chosen].sum() / ns[chosen].sum()
-    low, high = (float(v) for v in np.quantile(draws, [0.025, 0.975]))
-    return Rate(pooled.k, pooled.n, pooled.rate, low, high, "object bootstrap")
+    low, high = max(0.0, found.low), min(1.0, found.high)
+    return Rate(pooled.k, pooled.n, pooled.rate, low, high, found.method)

@@ -3,9 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
+
+from bidexdata.errors import UnknownChoice
 
 Setting = Literal["floating", "tabletop"]
+
+
+def setting_of(text: str) -> Setting:
+    """Read a setting.
+
+    Raises:
+        UnknownChoice: There is none of this name.
+    """
+    for known in get_args(Setting):
+        if text == known:
+            return known
+    raise UnknownChoice("--setting", text, get_args(Setting))
 
 
 @dataclass(frozen=True, slots=True)

@@ -82,7 +82,7 @@ _SENTENCES = {
     Status.SELF_PENETRATION_LEFT: "the hands penetrate themselves or each other",
     Status.TABLE_PENETRATION: "a hand penetrates the table",
     Status.NOT_REACHABLE: "no arm solution reaches the palm pose",
-    Status.NOT_RUN: "the test was not run because the attempt has no grasp",
+    Status.NOT_RUN: "the test was not run: the attempt has no grasp, or its row was left untested",
     Status.START_PENETRATION: "the pre-grasp penetrates deeper than the start check allows",
     Status.NO_CONTACT: "no hand touched the object after closing",
     Status.THROWN: "the object left the limits while the hands were closing",

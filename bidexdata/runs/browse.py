@@ -5,6 +5,7 @@ Pictures and the viewer read through `Browsable` and do not know which of the th
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
@@ -14,8 +15,9 @@ from bidexdata.errors import NotUsable
 from bidexdata.kinds import Kind, expect_kind
 from bidexdata.record import GraspBatch, HandHeader
 from bidexdata.record.batch import empty_columns
-from bidexdata.record.fields import columns_written_by
+from bidexdata.record.fields import TESTS, columns_written_by
 from bidexdata.record.status import Status
+from bidexdata.runs.chosen import chosen_protocol
 
 if TYPE_CHECKING:
     from bidexdata.formats.release import Release
@@ -61,16 +63,22 @@ class Browsable(Protocol):
         ...
 
 
-def open_browsable(path: str | Path) -> Browsable:
+def open_browsable(path: str | Path, protocol: str | None = None) -> Browsable:
     """Open whatever is at `path`.
+
+    Args:
+        path: A library, a run or a release.
+        protocol: Whose verdicts are meant; see `chosen_protocol` when omitted.
 
     Raises:
         PathNotFound: There is neither a library, a run nor a release.
+        UnknownName: There are no verdicts of the protocol.
+        NotUsable: There is no saying which protocol is meant, or a library, which has no verdicts.
         Contradiction: It is damaged.
     """
     kind = expect_kind(path, "library", "run", "release")
     sources = {"library": LibrarySource, "run": RunSource, "release": ReleaseSource}
-    return sources[kind](Path(path))
+    return sources[kind](Path(path), protocol)
 
 
 class LibrarySource:
@@ -80,9 +88,11 @@ class LibrarySource:
     test = protocol = ""
     tests: tuple[str, ...] = ()
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, protocol: str | None = None):
         from bidexdata.objects.library import Library
 
+        if protocol is not None:
+            raise NotUsable(f"{path} is a library: it has no verdicts of {protocol!r}")
         self.path = path
         self.library: Library = Library.open(path)
 
@@ -109,12 +119,14 @@ class RunSource:
 
     kind: Kind = "run"
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, protocol: str | None = None):
         from bidexdata.runs.run import Run
 
         self.path = path
         self.run: Run = Run.open(path)
-        self.protocol, self.tests = _preferred(self.run.verdict_tests())
+        tests = self.run.verdict_tests()
+        self.protocol = chosen_protocol(path, tests, protocol)
+        self.tests = _tests_of(self.protocol, tests)
         self.test = next(iter(self.tests), "")
 
     @property
@@ -150,17 +162,18 @@ class RunSource:
 
 
 class ReleaseSource:
-    """Rows of a release, selected and audit, with the verdicts of its default protocol."""
+    """Rows of a release, selected and audit, with the verdicts of one protocol."""
 
     kind: Kind = "release"
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, protocol: str | None = None):
         from bidexdata.formats.release import Release
 
         self.path = path
         self.release: Release = Release.open(path)
-        mine = [t for t in self.release.protocols if t[0] == self.release.default_protocol]
-        self.protocol, self.tests = _preferred(mine)
+        tests, default = self.release.protocols, self.release.default_protocol
+        self.protocol = chosen_protocol(path, tests, protocol, default=default)
+        self.tests = _tests_of(self.protocol, tests)
         self.test = next(iter(self.tests), "")
 
     @property
@@ -174,16 +187,9 @@ class ReleaseSource:
 
     def grasps(self, object_id: str, test: str = "") -> GraspBatch | None:
         """Selected rows, then audit rows that are not selected too."""
-        found = []
-        for configuration in self.release.configurations:
-            batch = self.release.grasps(
-                object_id, configuration=configuration, test=test or self.test or "f"
-            )
-            if configuration == "audit":
-                batch = batch.select(~batch["selected"])
-            if len(batch):
-                found.append(batch)
-        return GraspBatch.concat(found) if found else None
+        protocol, test = self.protocol or None, test or self.test or "f"
+        batch = self.release.stored(object_id, protocol=protocol, test=test)
+        return batch if len(batch) else None
 
     def hands(self) -> tuple[Hand, ...]:
         """Load hands of the names, sides and joints that the release states.
@@ -192,6 +198,32 @@ class ReleaseSource:
             NotUsable: A hand is not known here, or its joints are others.
         """
         return tuple(_hand_of(header, self.path) for header in self.release.hands)
+
+
+def rows_by_test(
+    source: Browsable, object_id: str, batch: GraspBatch | None = None
+) -> dict[str, GraspBatch]:
+    """All stored rows of one object with the verdicts of each test that was run, first test first.
+
+    Args:
+        source: What is looked into.
+        object_id: Which object.
+        batch: Its rows with the verdicts of the first test, where they were read before.
+
+    Returns:
+        Batches of the same rows; one under `f`, without verdicts, where nothing is validated, and
+        none where there are no rows.
+    """
+    first = source.grasps(object_id) if batch is None else batch
+    if first is None:
+        return {}
+    found = {source.test or "f": first}
+    for test in source.tests[1:]:
+        rows = source.grasps(object_id, test)
+        assert rows is not None  # there are rows of the object
+        # A run that is being made may have more of them by now.
+        found[test] = rows.select(np.isin(rows["grasp_id"], first["grasp_id"]))
+    return found
 
 
 def verdicts_of(batch: GraspBatch) -> np.ndarray:
@@ -206,12 +238,10 @@ def verdicts_of(batch: GraspBatch) -> np.ndarray:
     return outcome
 
 
-def _preferred(tests: list[tuple[str, str]]) -> tuple[str, tuple[str, ...]]:
-    """One protocol, and its tests."""
-    # Force closure first: it is the one that every floating data set has.
-    ordered = sorted(tests, key=lambda t: (t[0] != "paper-1", t[1] != "f", t))
-    protocol = ordered[0][0] if ordered else ""
-    return protocol, tuple(test for name, test in ordered if name == protocol)
+def _tests_of(protocol: str, tests: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+    """The tests that a protocol has verdicts of, in the order of `TESTS`."""
+    found = set(tests)
+    return tuple(test for test in TESTS if (protocol, test) in found)
 
 
 def _no_verdicts(batch: GraspBatch) -> dict[str, np.ndarray]:

@@ -11,14 +11,19 @@ DEFAULT_PROTOCOL = "paper-1"
 
 
 def chosen_protocol(
-    path: str | Path, tests: Iterable[tuple[str, str]], asked: str | None = None
+    path: str | Path,
+    tests: Iterable[tuple[str, str]],
+    asked: str | None = None,
+    *,
+    default: str = DEFAULT_PROTOCOL,
 ) -> str:
-    """The protocol asked for; else paper-1, or the only one; empty where nothing is tested.
+    """The protocol asked for; else the default, or the only one; empty where nothing is tested.
 
     Args:
         path: What has the verdicts, for messages.
         tests: The (protocol, test) pairs that it has.
         asked: A name.
+        default: What is meant when none is asked for; a release has its own.
 
     Raises:
         UnknownName: There are no verdicts of this protocol.
@@ -29,8 +34,8 @@ def chosen_protocol(
         if asked not in known:
             raise UnknownName("protocol with verdicts here", asked, known)
         return asked
-    if DEFAULT_PROTOCOL in known or not known:
-        return DEFAULT_PROTOCOL if known else ""
+    if default in known or not known:
+        return default if known else ""
     if len(known) > 1:
         raise NotUsable(
             f"{path} has verdicts of several protocols; say which with --protocol: "

@@ -23,7 +23,7 @@ from bidexdata.kinds import RUN_FILE
 from bidexdata.objects.library import Library
 from bidexdata.objects.storage import read_document
 from bidexdata.record import Status
-from bidexdata.record.scene import Setting
+from bidexdata.record.scene import Setting, setting_of
 from bidexdata.runs.import_objects import find_objects, make_objects
 from bidexdata.runs.import_scan import (
     FILES,
@@ -69,6 +69,9 @@ class ImportRequest:
     """Folder of the objects, where they do not lie at their own paths."""
     limit: int | None = None
     """Only the first so many files in byte order of the path."""
+
+    def __post_init__(self) -> None:
+        setting_of(self.setting)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -52,6 +52,8 @@ def describe(path: str | Path, by: str | None = None) -> dict[str, Any]:
 
 def describe_library(library: Library) -> dict[str, Any]:
     """Inputs per status, and the inputs that gave no object."""
+    from bidexdata.objects.library import failures_of
+
     rows = library.index.to_pylist()
     return {
         "kind": "library",
@@ -61,15 +63,7 @@ def describe_library(library: Library) -> dict[str, Any]:
         "objects": len(library.object_ids),
         "hulls": sum(r["piece_method"] == "hull" for r in rows),
         "by_status": dict(sorted(Counter(Status(r["status"]).label for r in rows).items())),
-        "failures": [
-            {
-                "source_name": r["source_name"],
-                "status": Status(r["status"]).label,
-                "reason": r["reason"],
-            }
-            for r in rows
-            if r["status"] != Status.OK
-        ],
+        "failures": failures_of(rows),
     }
 
 

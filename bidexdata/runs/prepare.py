@@ -22,7 +22,13 @@ from bidexdata.kinds import INDEX, OBJECTS
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.identity import object_id_of, source_bytes
-from bidexdata.objects.library import Library, content_sha256, object_folder, write_index
+from bidexdata.objects.library import (
+    Library,
+    content_sha256,
+    failures_of,
+    object_folder,
+    write_index,
+)
 from bidexdata.objects.prepare import prepare_object
 from bidexdata.objects.sources import SourceItem, resolve_sources
 from bidexdata.objects.storage import read_document, write_object
@@ -88,6 +94,7 @@ class PrepareReport:
             "hulls": self.hulls,
             "resumed": self.resumed,
             "by_status": self.by_status,
+            "failures": failures_of(self.rows),
             "waiting": self.waiting,
             "seconds": round(self.seconds, 3),
             "fingerprint": self.fingerprint,

@@ -18,7 +18,7 @@ import numpy as np
 from bidexdata.devices import check_device
 from bidexdata.errors import BadConfig, BadValue, NotUsable
 from bidexdata.record import GraspBatch
-from bidexdata.runs.browse import Browsable, open_browsable, verdicts_of
+from bidexdata.runs.browse import Browsable, open_browsable, rows_by_test, verdicts_of
 from bidexdata.runs.progress import Progress
 
 if TYPE_CHECKING:
@@ -78,6 +78,7 @@ def render(
     out: str | Path,
     *,
     only: Only | None = None,
+    protocol: str | None = None,
     count: int = DEFAULT_COUNT,
     views: int = 2,
     video: bool = False,
@@ -94,6 +95,7 @@ def render(
         path: A library, a run or a release.
         out: `.png`, `.jpg` or `.webp`; an animation is `.mp4`, `.gif` or an animated `.png`.
         only: Grasps that passed, or that failed.
+        protocol: Whose verdicts; when omitted a release's default, else `paper-1` or the only one.
         count: Pictures at most.
         views: Views of each grasp (an animation has one).
         video: Make an animation.
@@ -102,8 +104,9 @@ def render(
         quiet: No progress bar.
 
     Raises:
-        NotUsable: Nothing matches, there are no verdicts to choose by, there is no such device,
-            or pillow is missing.
+        NotUsable: Nothing matches, there are no verdicts to choose by, no saying whose are meant,
+            there is no such device, or pillow is missing.
+        UnknownName: There are no verdicts of the protocol.
         MissingExtra: An `.mp4` without the package that writes it.
         BadConfig: The file's ending is none of these.
         BadValue: `count` is not positive.
@@ -111,7 +114,7 @@ def render(
     """
     started = perf_counter()
     check_device(device)
-    source, out = open_browsable(path), Path(out)
+    source, out = open_browsable(path, protocol), Path(out)
     _check(out, source, only=only, count=count, video=video)
     from bidexdata.pictures.picture import drawn_by
     from bidexdata.pictures.sheet import FRAME_MS, contact_sheet, save_animation, save_picture
@@ -230,21 +233,11 @@ def _grasp_frames(
                 drawn = draw_stages(*at, VIDEO_MOMENTS, **size)
             else:
                 drawn = [draw_grasp(*at, views=views, **size)]
-            caption = grasp_caption(_tested(source, shown), shown.row)
+            caption = grasp_caption(rows_by_test(source, shown.object_id, shown.batch), shown.row)
             for tiles, pixels in zip(frames, drawn, strict=True):
                 tiles.append(Tile(pixels, caption))
             progress.advance()
     return frames
-
-
-def _tested(source: Browsable, shown: Shown) -> dict[str, GraspBatch]:
-    """The batch of a chosen grasp with the verdicts of each test."""
-    tested = {source.test or "f": shown.batch}
-    for test in source.tests[1:]:
-        rows = source.grasps(shown.object_id, test)
-        assert rows is not None  # the batch is of the same object
-        tested[test] = rows
-    return tested
 
 
 def _object_tiles(

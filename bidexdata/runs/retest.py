@@ -102,15 +102,9 @@ def _attempts(release: Release) -> dict[str, dict[str, dict[str, int]]]:
 def _rows(
     release: Release, object_id: str, counts: Mapping[str, Mapping[str, int]], run: Run
 ) -> GraspBatch:
-    """Selected rows, then audit rows that are not selected too; no verdicts."""
-    parts = []
-    for configuration in release.configurations:
-        batch = release.grasps(object_id, configuration=configuration)
-        if configuration == "audit":
-            batch = batch.select(~batch["selected"])
-        columns = {n: c for n, c in batch.columns.items() if FIELDS[n].written_by != "validate"}
-        parts.append(GraspBatch(batch.header, columns))
-    joined = GraspBatch.concat(parts)
-    prints = {**joined.header.fingerprints, "run": run.fingerprint}
-    header = dataclasses.replace(joined.header, fingerprints=prints, counts=counts)
-    return dataclasses.replace(joined, header=header)
+    """Every stored row of an object, without verdicts."""
+    batch = release.stored(object_id)
+    columns = {n: c for n, c in batch.columns.items() if FIELDS[n].written_by != "validate"}
+    prints = {**batch.header.fingerprints, "run": run.fingerprint}
+    header = dataclasses.replace(batch.header, fingerprints=prints, counts=counts)
+    return GraspBatch(header, columns)

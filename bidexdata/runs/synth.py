@@ -16,7 +16,7 @@ from bidexdata.devices import check_device
 from bidexdata.errors import BadConfig, BadValue, NotUsable
 from bidexdata.kinds import kind_of
 from bidexdata.record import GraspBatch, Status
-from bidexdata.record.scene import Setting
+from bidexdata.record.scene import Setting, setting_of
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.plan import (
@@ -70,6 +70,7 @@ class SynthRequest:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        setting_of(self.setting)
         if not self.sizes_mm or any(not 10 <= mm <= 5000 for mm in self.sizes_mm):
             raise BadValue("--sizes: give sizes in metres between 0.01 and 5, such as 0.3,0.5")
         if self.grasps is not None and not 1 <= self.grasps <= 10_000:

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bidexdata.errors import BadConfig, NotUsable
+from bidexdata.errors import BadConfig
 from bidexdata.formats import parquet
 from bidexdata.formats.flat import GRASP, Verdicts, flat_rows, flat_schema
 from bidexdata.formats.tables import VERDICT_COLUMNS
 from bidexdata.record import GraspBatch
 from bidexdata.runs.browse import LibrarySource, ReleaseSource, RunSource, open_browsable
-from bidexdata.runs.chosen import chosen_protocol
 from bidexdata.runs.finished import Finished
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.shards import write_atomically
@@ -54,7 +53,7 @@ def write_table(
     Args:
         path: A library, a run or a release.
         out: `.csv` or `.parquet`.
-        protocol: Whose verdicts; `paper-1` or the only one when omitted.
+        protocol: Whose verdicts; when omitted a release's default, else `paper-1` or the only one.
         quiet: No progress.
 
     Raises:
@@ -66,25 +65,21 @@ def write_table(
     out = Path(out)
     if out.suffix.lower() not in ENDINGS:
         raise BadConfig(f"--out {out}: a table is written as one of {', '.join(ENDINGS)}")
-    source = open_browsable(path)
-    chosen = ""
+    source = open_browsable(path, protocol)
     if isinstance(source, LibrarySource):
-        if protocol is not None:
-            raise NotUsable(f"{path} is a library: it has no verdicts of {protocol!r}")
         whole = library_rows(source.library)
         schema, tables, total, quiet = whole.schema, iter([whole]), 1, True
     elif isinstance(source, RunSource):
         run = source.run
-        chosen = chosen_protocol(path, run.verdict_tests(), protocol)
-        schema, tables, total = flat_schema(), run_rows(run, chosen), len(run.object_ids)
+        schema, total = flat_schema(), len(run.object_ids)
+        tables = run_rows(run, source.protocol)
     else:
         assert isinstance(source, ReleaseSource)
         release, quiet = source.release, True  # row groups: seconds, and no objects to count
-        chosen = chosen_protocol(path, release.protocols, protocol)
-        schema, tables, total = flat_schema(), release_rows(release, chosen), 0
+        schema, tables, total = flat_schema(), release_rows(release, source.protocol), 0
     rows = _write(out, schema, tables, total, quiet)
     return TableReport(
-        out=out, kind=source.kind, rows=rows, columns=tuple(schema.names), protocol=chosen
+        out=out, kind=source.kind, rows=rows, columns=tuple(schema.names), protocol=source.protocol
     )
 
 

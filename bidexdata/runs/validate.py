@@ -17,6 +17,7 @@ import numpy as np
 from bidexdata.config import differing_keys, from_plain, to_plain
 from bidexdata.errors import ConfigConflict, NotUsable
 from bidexdata.record import Status
+from bidexdata.record.fields import ON_TABLE
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.plan import Task, take_shard
 from bidexdata.runs.run import (
@@ -74,13 +75,16 @@ def validate_run(
         A report per test.
 
     Raises:
-        NotUsable: A test that the protocol or the setting does not allow, nothing to test, or
-            something that the back end does not do here.
+        NotUsable: A test that the protocol or the setting does not allow, nothing to test,
+            something that the back end does not do here, or other settings than those of the
+            known protocol of that name.
         MissingExtra: MuJoCo Warp is asked for and not installed.
         ConfigConflict: The run has verdicts of another protocol under this name.
     """
     from bidexdata.validation.backends import check_backend, on_backend
+    from bidexdata.validation.protocols import require_own_name
 
+    require_own_name(protocol)
     execution = execution or Execution()
     check_backend(protocol, backend, device, _how(extras))
     protocol = on_backend(protocol, backend, device)
@@ -120,14 +124,14 @@ def _for_one_device(execution: Execution) -> Execution:
 
 def allowed_tests(run: Run, protocol: Protocol, asked: Sequence[str]) -> tuple[str, ...]:
     """Tests to run: those asked for, or all that the protocol defines and the rows allow."""
-    fits = {"f": True, "l": run.spec.setting == "tabletop", "a": False}
+    from bidexdata.validation.protocols import require_test
+
+    here = [t for t in protocol.tests if t not in ON_TABLE or run.spec.setting == "tabletop"]
     if not asked:
-        return tuple(t for t in protocol.tests if fits.get(t, False))
+        return tuple(here)
     for test in asked:
-        if test not in protocol.tests:
-            known = ", ".join(protocol.tests)
-            raise NotUsable(f"protocol {protocol.name!r} has no test {test!r}; it has: {known}")
-        if not fits.get(test, False):
+        require_test(protocol, test)
+        if test not in here:
             raise NotUsable(f"test {test!r} cannot be run on {run.spec.setting} rows of {run.path}")
     return tuple(dict.fromkeys(asked))
 

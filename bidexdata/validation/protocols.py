@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from bidexdata.config import OMIT_NONE, from_plain, load_yaml, merge, to_plain
 from bidexdata.errors import BadConfig, NotUsable, UnknownName
-from bidexdata.record.fields import DIRECTIONS
+from bidexdata.record.fields import DIRECTIONS, JUDGED
 from bidexdata.simulation.settings import SceneSettings
 
 WARP_SUFFIX = "-warp"
@@ -96,7 +96,7 @@ class Protocol:
     """Under which verdicts are stored; other settings need another."""
     description: str
     """One sentence for `bidexdata protocols`."""
-    tests: tuple[str, ...] = ("f", "l")
+    tests: tuple[str, ...] = JUDGED
     """Tests that the protocol defines: f force closure, l lift off a table."""
     scene: SceneSettings = field(default_factory=SceneSettings)
 
@@ -144,9 +144,10 @@ class Protocol:
             raise BadConfig(f"protocol.limit_rot must be in (0, pi], not {self.limit_rot!r}")
         if self.steps_per_check < 1 or self.checks < 1:
             raise BadConfig("protocol.check_every must be at least a timestep and at most hold")
-        unknown = [t for t in self.tests if t not in ("f", "l")]
+        unknown = [t for t in self.tests if t not in JUDGED]
         if unknown or not self.tests:
-            raise BadConfig(f"protocol.tests may name f and l, not {list(self.tests)!r}")
+            known = " and ".join(JUDGED)
+            raise BadConfig(f"protocol.tests may name {known}, not {list(self.tests)!r}")
         wrong = [d for d in self.directions if d not in DIRECTIONS]
         if wrong or not self.directions:
             known = ", ".join(DIRECTIONS)
@@ -246,12 +247,37 @@ def _from_file(path: Path) -> Protocol:
     if base is not None:
         data = merge(to_plain(load_protocol(str(base))), data)
     protocol = protocol_from(data, str(path))
-    if protocol.name in protocol_names() and protocol != load_protocol(protocol.name):
+    require_own_name(protocol, f"{path}: ")
+    return protocol
+
+
+def require_own_name(protocol: Protocol, where: str = "") -> None:
+    """Refuse other settings under the name of a known protocol, or of it judged by another engine.
+
+    Args:
+        protocol: Any.
+        where: What the message begins with.
+
+    Raises:
+        NotUsable: The name is that of a known protocol and the settings are not.
+    """
+    from .named import NAMED
+
+    known = NAMED.get(protocol.name.removesuffix(WARP_SUFFIX))
+    if known is None:
+        return
+    if protocol.engine is not None:  # whose description says so in words of its own
+        known = replace(
+            known,
+            name=protocol.name,
+            description=protocol.description,
+            engine=protocol.engine,
+        )
+    if protocol != known:
         raise NotUsable(
-            f"{path}: {protocol.name!r} is the name of a protocol with other settings; choose "
+            f"{where}{protocol.name!r} is the name of a protocol with other settings; choose "
             "another name"
         )
-    return protocol
 
 
 def require_test(protocol: Protocol, test: str) -> None:

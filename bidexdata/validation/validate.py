@@ -12,7 +12,7 @@ from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import Solid
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.batch import empty_columns, in_metres
-from bidexdata.record.fields import columns_written_by
+from bidexdata.record.fields import ON_TABLE, columns_written_by
 from bidexdata.simulation.engine_log import engine_warnings_logged
 from bidexdata.simulation.scene import SceneNotBuilt, SimScene, build_scene
 
@@ -28,8 +28,7 @@ from .verdict import Verdict
 from .warp_backend import warp_verdicts
 
 TESTS = {"f": force_closure, "l": lift}
-WITH_TABLE = frozenset("l")
-"""Tests whose scene has the table."""
+"""How each test is run that `record.fields.JUDGED` names."""
 
 FARTHEST = 1000.0
 """Poses beyond this are refused [m]: float32 then resolves less than 0.1 mm."""
@@ -116,7 +115,7 @@ def scene_of_rows(
         SceneNotBuilt: MuJoCo refuses the scene.
     """
     size = in_metres(batch.size[0])
-    return build_scene(hands, solid, size, protocol.scene, table=test in WITH_TABLE)
+    return build_scene(hands, solid, size, protocol.scene, table=test in ON_TABLE)
 
 
 def grasp_of(batch: GraspBatch, row: int) -> Grasp:

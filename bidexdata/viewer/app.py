@@ -29,22 +29,30 @@ DEFAULT_HOST = "127.0.0.1"
 
 
 def serve(
-    path: str | Path, host: str = DEFAULT_HOST, port: int = DEFAULT_PORT, block: bool = True
+    path: str | Path,
+    *,
+    protocol: str | None = None,
+    host: str = DEFAULT_HOST,
+    port: int = DEFAULT_PORT,
+    block: bool = True,
 ) -> viser.ViserServer:
     """Serve a page that shows a library, a run or a release.
 
     Args:
         path: What to show.
+        protocol: Whose verdicts; when omitted a release's default, else `paper-1` or the only one.
         host: Address to listen on; `0.0.0.0` shows it to everyone who reaches this machine.
         port: Where to listen; the next free port when it is taken (`server.get_port()`).
         block: Serve until interrupted, then stop. Otherwise return at once; call `server.stop()`.
 
     Raises:
         PathNotFound: `path` does not exist.
-        NotUsable: There is nothing to show, or `host` is no address of this machine.
+        NotUsable: There is nothing to show, no saying whose verdicts are meant, or `host` is no
+            address of this machine.
+        UnknownName: There are no verdicts of the protocol.
         MissingExtra: viser is not installed.
     """
-    server = serve_source(open_browsable(path), host=host, port=port)
+    server = serve_source(open_browsable(path, protocol), host=host, port=port)
     if block:
         wait_until_interrupted(server)
     return server

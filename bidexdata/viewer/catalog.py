@@ -15,7 +15,7 @@ import numpy as np
 
 from bidexdata.pictures.posing import has_pose
 from bidexdata.record import GraspBatch
-from bidexdata.runs.browse import Browsable, verdicts_of
+from bidexdata.runs.browse import Browsable, rows_by_test, verdicts_of
 from bidexdata.viewer.nodes import body_meshes
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Catalog:
         self.source = source
         self._lock = threading.RLock()
         self._solids: OrderedDict[str, Solid] = OrderedDict()
-        self._batches: OrderedDict[str, GraspBatch | None] = OrderedDict()
+        self._batches: OrderedDict[str, dict[str, GraspBatch]] = OrderedDict()
 
     @cached_property
     def object_ids(self) -> tuple[str, ...]:
@@ -62,9 +62,9 @@ class Catalog:
         """Read an object, or take it from the cache."""
         return self._cached(self._solids, object_id, self.source.load_solid)
 
-    def grasps(self, object_id: str) -> GraspBatch | None:
-        """Read all rows of an object, or take them from the cache."""
-        return self._cached(self._batches, object_id, self.source.grasps)
+    def grasps(self, object_id: str) -> dict[str, GraspBatch]:
+        """Read all rows of an object per test, or take them from the cache; see `rows_by_test`."""
+        return self._cached(self._batches, object_id, lambda name: rows_by_test(self.source, name))
 
     def _cached(self, cache: OrderedDict[str, T], key: str, read: Callable[[str], T]) -> T:
         with self._lock:
@@ -88,7 +88,7 @@ def matching_rows(
     Args:
         batch: Rows of one object; none gives no rows.
         size_mm: One size; all when None.
-        outcome: What the test said.
+        outcome: What the test of these verdicts said.
         kept: `selected` or `audit` rows.
     """
     if batch is None:

@@ -64,6 +64,7 @@ class Page:
         self._setting = False  # a widget is being set from here, not by the person
         self._playing = self._closed = False
         self._aimed_at: tuple[str, float] | None = None
+        self.tested: dict[str, GraspBatch] = {}
         self.batch: GraspBatch | None = None
         self.rows: list[int] = []
         self._has_grasps = catalog.source.kind != "library"
@@ -82,7 +83,8 @@ class Page:
         with self._lock:
             object_id = str(self.object.value)
             self.solid = self._catalog.solid(object_id)
-            self.batch = self._catalog.grasps(object_id)
+            self.tested = self._catalog.grasps(object_id)
+            self.batch = next(iter(self.tested.values()), None)
             sizes = sorted(set(self.batch["size_mm"].tolist())) if self.batch is not None else []
             self._set(self.size, options=(ALL_SIZES, *(f"{s} mm" for s in sizes)))
             self.about.content = object_markdown(self.solid)
@@ -113,11 +115,10 @@ class Page:
                 self.verdict.content = NO_MATCH if self._has_grasps else ""
                 self.identity.content = self.scores.content = ""
             else:
-                test = self._catalog.source.test
                 self.nodes.show_contacts(batch, row)
-                self.verdict.content = verdict_html(batch, row, test=test)
+                self.verdict.content = verdict_html(self.tested, row)
                 self.identity.content = identity_markdown(batch, row)
-                self.scores.content = scores_markdown(batch, row)
+                self.scores.content = scores_markdown(self.tested, row)
             total = len(self.rows)
             self.count.content = (
                 f"{int(self.grasp.value) if total else 0} of {counted(total, 'grasp')}"
@@ -192,7 +193,7 @@ class Page:
             self.about = gui.add_markdown("")
         with gui.add_folder("Filter", visible=shown):
             self.size = gui.add_dropdown("size", (ALL_SIZES,))
-            self.outcome = gui.add_dropdown("outcome", OUTCOMES)
+            self.outcome = gui.add_dropdown("outcome", OUTCOMES, hint=self._outcome_hint())
             self.kept = gui.add_dropdown("rows", KEPT, hint="selected: best; audit: drawn by seed")
         with gui.add_folder("Grasp", visible=shown):
             self.count = gui.add_markdown("")
@@ -220,6 +221,10 @@ class Page:
         objects.on_click(lambda _: self.step_object(_direction(objects.value)))
         grasps.on_click(lambda _: self.step_grasp(_direction(grasps.value)))
         play.on_click(lambda _: self.play())
+
+    def _outcome_hint(self) -> str:
+        source = self._catalog.source
+        return f"of test {source.test} of {source.protocol}" if source.test else "not validated"
 
     def _build_keys(self) -> None:
         gui = self._gui

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Mapping
 
 import numpy as np
 
 from bidexdata.objects.prepared import Solid
-from bidexdata.pictures.captions import verdict_words
+from bidexdata.pictures.captions import verdicts_words
 from bidexdata.record import GraspBatch
 from bidexdata.wording import counted
 
@@ -27,24 +28,35 @@ _SCORES = (
     ("drift_rot", "turn under load", 180 / np.pi, "°"),
     ("load_margin", "load margin", 1.0, ""),
 )
+_OF_A_TEST = ("drift_pos", "drift_rot", "load_margin")
+_COLOURS = {True: "#18804a", False: "#be2824", None: "#6e7278"}
 
 
-def verdict_html(batch: GraspBatch, row: int, *, test: str) -> str:
-    """One coloured line: passed, failed and why, or not tested."""
-    words, good = verdict_words(batch, row, test=test or "f")
-    colour = {True: "#18804a", False: "#be2824", None: "#6e7278"}[good]
-    return (
-        f'<div style="color:{colour};font-weight:600;font-size:0.9em;padding:0.4em 0.8em">'
+def verdict_html(tested: Mapping[str, GraspBatch], row: int) -> str:
+    """A coloured line for each test: passed, failed and why, or not tested."""
+    return "".join(
+        f'<div style="color:{_COLOURS[good]};font-weight:600;font-size:0.9em;padding:0.4em 0.8em">'
         f"{html.escape(words)}</div>"
+        for words, good in verdicts_words(tested, row).items()
     )
 
 
-def scores_markdown(batch: GraspBatch, row: int) -> str:
-    """A table of the numbers that the row has; those without a value are left out."""
-    lines = []
+def scores_markdown(tested: Mapping[str, GraspBatch], row: int) -> str:
+    """A table of the numbers that the row has; those without a value are left out.
+
+    What depends on the test is told per test; the rest is that of the first test that has it.
+    """
+    lines, batch = [], next(iter(tested.values()))
     for name, words, factor, unit in _SCORES:
-        if name in batch and np.isfinite(batch[name][row]):
-            lines.append(f"| {words} | {factor * float(batch[name][row]):.3g} {unit} |")
+        values = {
+            test: factor * float(rows[name][row])
+            for test, rows in tested.items()
+            if name in rows and np.isfinite(rows[name][row])
+        }
+        if name not in _OF_A_TEST or len(tested) == 1:
+            lines += [f"| {words} | {value:.3g} {unit} |" for value in [*values.values()][:1]]
+        else:
+            lines += [f"| {words}, test {t} | {v:.3g} {unit} |" for t, v in values.items()]
     for side, value in zip(("left", "right"), _residuals(batch, row), strict=False):
         lines.append(f"| QP residual, {side} hand | {value:.3g} |")
     if not lines:

@@ -109,7 +109,7 @@ NAMED = [
     ([*PREPARE[:1], "shapes:boks", *PREPARE[2:]], "known: box"),
     ([*PREPARE[:1], "moon:rocks", *PREPARE[2:]], "known: shapes"),
     # one of a fixed set of words
-    ([*SYNTH, "--setting", "water"], "floating and tabletop"),
+    ([*SYNTH, "--setting", "water"], "one of floating, tabletop"),
     ([*PACK, "--form", "hdf"], "'both' or 'parquet'"),
     ([*PACK, "--licences", "any"], "nc-ok and permissive"),
     ([*PACK, "--split", "moon"], "by object"),

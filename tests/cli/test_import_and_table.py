@@ -54,6 +54,17 @@ def test_an_import_reports_its_files_and_the_next_command(bench, tmp_path, capsy
     assert "attempts" not in text
 
 
+def test_its_verdicts_are_packed_next(bench, tmp_path, capsys):
+    out = tmp_path / "run"
+    assert run(importing(bench, out, "--limit", "1", "--quiet")) == 0
+    capsys.readouterr()
+    short = ("--set", "name=short-1", "--set", "hold=0.2")
+    run(["validate", str(out), "--protocol", "dexgraspbench-1", *short, "--workers", "1", "--json"])
+    following = json.loads(capsys.readouterr().out)["next"]
+    assert following.startswith(f"bidexdata pack {out} --out RELEASE")
+    assert following.endswith("--protocol short-1")
+
+
 def test_its_run_can_be_drawn_tabled_and_refuses_another_setting(bench, tmp_path, capsys):
     out = tmp_path / "run"
     assert run(importing(bench, out, "--limit", "2", "--quiet")) == 0
@@ -100,7 +111,7 @@ def test_nothing_imported_gives_6_with_the_reasons(bench, tmp_path, capsys):
         (
             ["import", "dexgraspbench", "{tmp}", "--out", "{tmp}/r", "--setting", "water"],
             3,
-            "floating and tabletop",
+            "one of floating, tabletop",
         ),
         (["import", "dexgraspbench"], 2, "PATH"),
         (["table", "{tmp}/no", "--out", "{tmp}/t.csv"], 3, "no such file or folder"),

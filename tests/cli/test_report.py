@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from bidexdata.cli.figures import LEGEND
+from bidexdata.cli.main import run
 from bidexdata.cli.report import refuse_nothing, warn_of_failed
 from bidexdata.errors import NothingSucceeded
 from bidexdata.runs.executors import TaskFailure
@@ -54,3 +56,17 @@ def test_every_figure_with_a_short_name_is_explained_where_it_is_printed():
         assert re.search(rf"\b{name}\b[^;]* = ", LEGEND), name
         assert re.search(rf"\b{name}\b (is|says)", readme) or f" {name} the" in readme, name
         assert re.search(rf"\b{name}\b|`{name.lower()}`", protocols), name
+
+
+def test_prepare_and_info_say_the_same_of_inputs_that_failed(tmp_path, capsys):
+    for name in ("bad.obj", "copy.obj"):
+        (tmp_path / name).write_text("no mesh")
+    words = ["prepare", str(tmp_path / "bad.obj"), str(tmp_path / "copy.obj"), "shapes:box"]
+    assert run([*words, "--out", str(tmp_path / "lib"), "--executor", "inline", "--json"]) == 0
+    prepared = json.loads(capsys.readouterr().out)
+    assert run(["info", str(tmp_path / "lib"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert prepared["failures"] == told["failures"]
+    (failed,) = told["failures"]  # the copy is a duplicate, and no failure
+    assert set(failed) == {"source_name", "status", "reason"}
+    assert told["by_status"][failed["status"]] == told["by_status"]["duplicate"] == 1

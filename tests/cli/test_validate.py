@@ -17,11 +17,12 @@ from bidexdata import BiDexDataset, Release, Run
 from bidexdata.cli.main import run
 from bidexdata.cli.report import validate_again
 from bidexdata.config import to_plain
-from bidexdata.errors import ConfigConflict
+from bidexdata.errors import ConfigConflict, NotUsable
 from bidexdata.pictures import sheet
 from bidexdata.runs.browse import open_browsable
 from bidexdata.runs.run import PROTOCOL_FILE, verdict_batch, verdict_fingerprint
 from bidexdata.runs.shards import read_mark, shard_path, write_shard
+from bidexdata.runs.validate import validate_run
 from bidexdata.validation import load_protocol
 from bidexdata.validation.protocols import Engine
 
@@ -96,6 +97,29 @@ def test_other_settings_under_a_stored_name_are_refused(floating, tmp_path, caps
 def test_set_needs_a_name_of_its_own(floating, capsys):
     assert run(["validate", str(floating), "--set", "hold=1.0", *INLINE]) == 3
     assert "--set name=NAME" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--protocol", "paper-1-mass500g", "--set", "name=paper-1"],
+        ["--set", "hold=1", "--set", "name=dexgraspbench-1"],
+        ["--set", "hold=1", "--set", "name=paper-1"],
+    ],
+)
+def test_a_published_name_never_stands_for_other_settings(floating, capsys, words):
+    before = sorted(floating.rglob("*.arrow"))
+    assert run(["validate", str(floating), *words, *INLINE]) == 3
+    assert "name" in capsys.readouterr().err
+    assert sorted(floating.rglob("*.arrow")) == before
+
+
+def test_validate_run_refuses_other_settings_under_a_published_name(floating):
+    paper = load_protocol("paper-1")
+    with pytest.raises(NotUsable, match="'paper-1' is the name of a protocol with other settings"):
+        validate_run(Run.open(floating), replace(paper, hold=1.0))
+    with pytest.raises(NotUsable, match="'dexgraspbench-1' is the name"):
+        validate_run(Run.open(floating), replace(paper, name="dexgraspbench-1"))
 
 
 def test_extra_columns_are_measured_once_asked_for_and_never_lost(library):
@@ -187,6 +211,13 @@ def test_a_replay_gives_the_verdict_of_the_run_and_films_it(floating, tmp_path, 
     [
         (["--replay", "0" * 16], 3, "has no grasp"),
         (["--video", "x.mp4"], 2, "--replay"),
+        (
+            ["--replay", "0" * 16, "--load-margin", "--out", "x"],
+            3,
+            "leave out --out, --load-margin",
+        ),
+        (["--replay", "0" * 16, "--analytic"], 3, "leave out --analytic"),
+        (["--replay", "0" * 16, "--workers", "2", "--shard", "0/2"], 3, "--workers, --shard"),
         (["--protocol", "paper-2"], 3, "paper-1"),
         (["--protocol", "nowhere.yaml"], 3, "nowhere.yaml"),
     ],
@@ -293,6 +324,29 @@ def test_a_release_is_packed_for_the_protocol_asked_for(judged_by_another, tmp_p
     assert run([*pack, str(tmp_path / "b"), "--protocol", "none-1"]) == 3
     assert run([*pack, str(tmp_path / "c"), "--protocol", "brief-1", "--quiet"]) == 0
     assert Release.open(tmp_path / "c").default_protocol == "brief-1"
+
+
+def test_whose_verdicts_are_shown_is_one_rule_for_pictures_pages_and_tables(
+    floating, tmp_path, capsys
+):
+    both = tmp_path / "both"
+    shutil.copytree(floating, both)
+    for other in [f for f in (both / "validate").iterdir() if f.name != "paper-1"]:
+        shutil.rmtree(other)
+    shutil.copytree(both / "validate" / "paper-1", both / "validate" / "paper-1-density25")
+    picture = ["render", str(both), "--out", str(tmp_path / "a.png")]
+    assert open_browsable(both).protocol == "paper-1"
+    assert open_browsable(both, "paper-1-density25").protocol == "paper-1-density25"
+    shutil.rmtree(both / "validate" / "paper-1")
+    assert open_browsable(both).protocol == "paper-1-density25"
+    shutil.copytree(both / "validate" / "paper-1-density25", both / "validate" / "mine-1")
+    for words in (picture, ["view", str(both)], ["table", str(both), "--out", "t.csv"]):
+        assert run(words) == 3
+        assert "say which with --protocol: mine-1, paper-1-density25" in capsys.readouterr().err
+        assert run([*words, "--protocol", "none-1"]) == 3
+        assert "no protocol with verdicts here is called 'none-1'" in capsys.readouterr().err
+    with pytest.raises(NotUsable, match="it has no verdicts of 'paper-1'"):
+        open_browsable(Run.open(floating).library.path, "paper-1")
 
 
 def test_a_shard_of_one_engine_is_never_read_as_the_other_s(judged_by_another, tmp_path):

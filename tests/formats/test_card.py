@@ -1,6 +1,7 @@
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import yaml
 from made_release import OBJECTS, made_object, made_release
@@ -11,22 +12,26 @@ from bidexdata.formats.metric_text import metric_text
 from bidexdata.formats.release import Release
 from bidexdata.objects.sources.item import UNKNOWN
 from bidexdata.record import Status
-from bidexdata.record.rates import rate_interval
+from bidexdata.record.rates import clustered_interval, rate_interval
 
 
 def front_matter(readme: str) -> dict:
     return yaml.safe_load(readme.split("---\n")[1])
 
 
+def rate_of(batch):
+    mine = [batch["success"][batch["object_id"] == obj] for obj in np.unique(batch["object_id"])]
+    return clustered_interval([int(m.sum()) for m in mine], [len(m) for m in mine])
+
+
 def test_the_card_states_the_rates_of_the_rows(packed):
     release = Release.open(packed)
     batch = release.grasps()
-    expected = rate_interval(int(batch["success"].sum()), len(batch))
+    expected = rate_of(batch)
     card = (packed / "DATASET_CARD.md").read_text()
-    assert f"| Selected SUC-F | {expected}, wilson |" in card
-    audit = release.grasps(configuration="audit")
-    unselected = rate_interval(int(audit["success"].sum()), len(audit))
-    assert f"| Unselected SUC-F | {unselected}, wilson |" in card
+    assert f"| Selected SUC-F | {expected}, {expected.method} |" in card
+    unselected = rate_of(release.grasps(configuration="audit"))
+    assert f"| Unselected SUC-F | {unselected}, {unselected.method} |" in card
     assert f"| {len(batch)} |" in card
 
 

@@ -191,6 +191,25 @@ def test_null_means_not_tested(tmp_path):
     assert release.figures["tests"]["f"]["selected"]["n"] == PER_SCENE * len(SIZES)
 
 
+def test_metrics_of_a_row_are_of_the_first_test_that_was_run_on_it(tmp_path):
+    lift = ("paper-1", "l")
+
+    def rows(object_id):
+        made = made_rows(object_id)
+        if object_id != OBJECT:  # lifted only
+            made = replace(made, verdicts={lift: made.verdicts[PAPER_F]})
+        return [made]
+
+    release = Release.open(made_release(tmp_path / "r", rows_of=rows, tests=[PAPER_F, lift]))
+    for object_id in OBJECTS:
+        batch = release.grasps(object_id, test="f" if object_id == OBJECT else "l")
+        rows = release.index(columns=["object_id", "pd", "contact_number"]).to_pylist()
+        mine = [r for r in rows if r["object_id"] == object_id]
+        np.testing.assert_array_equal([r["pd"] for r in mine], batch["pd"])
+        assert np.isfinite(batch["pd"]).any()
+        assert [r["contact_number"] for r in mine] == batch["contact_number"].tolist()
+
+
 def test_runs_are_merged_and_kept_apart_in_the_table(tmp_path):
     runs = [RunInfo("a", "1" * 16, PER_SCENE, seed=3), RunInfo("b", "2" * 16, None, preset="x")]
     out = made_release(

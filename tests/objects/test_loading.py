@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from mesh_files import write_obj, write_stl
 
 from bidexdata.objects.config import LoadConfig
@@ -256,3 +257,19 @@ def collada(mesh: TriangleMesh, axis: str) -> str:
 <library_visual_scenes><visual_scene id="s"><node><instance_geometry url="#g"/></node>
 </visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>
 """
+
+
+def test_a_part_of_a_scene_that_names_a_missing_vertex_is_refused_in_our_words(
+    tmp_path, monkeypatch
+):
+    part = trimesh.Trimesh(np.eye(3), [[0, 1, 2]], process=False)
+    scene = trimesh.Scene([part])
+    (only,) = scene.geometry.values()
+    only._data["faces"] = np.array([[0, 1, 7]])
+    monkeypatch.setattr(trimesh, "load", lambda *_, **__: scene)
+    path = tmp_path / "x.obj"
+    path.write_text("v 0 0 0\n")
+    with pytest.raises(PrepareFailure, match="a face names a vertex") as failed:
+        load_mesh(path, path.read_bytes(), LoadConfig())
+    assert failed.value.status is Status.UNREADABLE
+    assert failed.value.reason == "a face names a vertex that does not exist"

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bidexdata.record.means import _t95, mean_interval
+from bidexdata.record.intervals import MIN_OBJECTS, t95
+from bidexdata.record.means import mean_interval
 from bidexdata.record.moments import moments_of
-from bidexdata.record.rates import MIN_CLUSTERS
 
 TRUE_MEAN = 3.0
 COVERAGE = (0.92, 0.98)
@@ -24,7 +24,7 @@ def interval(objects, **options):
     return mean_interval(map(moments_of, objects), **options)
 
 
-@pytest.mark.parametrize("objects", [MIN_CLUSTERS, 40])
+@pytest.mark.parametrize("objects", [MIN_OBJECTS, 40])
 def test_the_bootstrap_is_the_one_over_whole_rows(objects):
     rng = np.random.default_rng(objects)
     rows = made_objects(rng, objects)
@@ -114,5 +114,5 @@ def test_an_interval_is_cut_where_no_number_can_be():
 
 
 def test_students_quantile_is_that_of_scipy():
-    found = [_t95(v) for v in range(1, 500)]
+    found = [t95(v) for v in range(1, 500)]
     assert found == pytest.approx(stats.t.ppf(0.975, np.arange(1, 500)), abs=2e-4)

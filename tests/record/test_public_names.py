@@ -1,5 +1,6 @@
 """The public names: all there, loaded when first used, light until then."""
 
+import ast
 import re
 import subprocess
 import sys
@@ -17,6 +18,21 @@ def test_every_public_name_is_defined_where_the_table_says(name):
     value = getattr(bidexdata, name)
     assert value.__module__.startswith("bidexdata.")
     assert value.__doc__
+
+
+def test_type_checkers_see_the_same_names_at_the_same_places():
+    tree = ast.parse(Path(bidexdata.__file__).read_text(encoding="utf-8"))
+    (seen,) = [n for n in tree.body if isinstance(n, ast.If)]
+    imports = [n for n in seen.body if isinstance(n, ast.ImportFrom)]
+    assert {a.asname: n.module for n in imports for a in n.names} == bidexdata._PUBLIC
+    assert all(a.name == a.asname for n in imports for a in n.names)
+
+
+def test_what_a_stage_needs_is_public_beside_it():
+    request = bidexdata.SynthRequest(config=bidexdata.load_preset("default"), grasps=2)
+    assert request.sizes_mm[0] == 300
+    assert bidexdata.Execution(executor="inline").workers == 0
+    assert {"describe", "render"} <= set(dir(bidexdata))
 
 
 def test_a_name_that_is_not_public_is_refused():

@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
 
-from bidexdata.record.rates import MIN_CLUSTERS, clustered_interval, rate_interval
+from bidexdata.record.intervals import MIN_OBJECTS
+from bidexdata.record.means import mean_interval
+from bidexdata.record.moments import moments_of
+from bidexdata.record.rates import clustered_interval, rate_interval
 
 
 @pytest.mark.parametrize(("k", "n"), [(0, 1), (1, 1), (0, 50), (50, 50), (7, 20), (999, 1000)])
@@ -41,6 +44,37 @@ def test_clustered_rows_get_a_wider_interval_than_independent_ones():
     assert clustered == clustered_interval(k, n)
 
 
-def test_few_objects_fall_back_to_wilson_and_empty_ones_do_not_count():
-    few = clustered_interval([1] * (MIN_CLUSTERS - 1) + [0] * 5, [2] * (MIN_CLUSTERS - 1) + [0] * 5)
-    assert few == rate_interval(MIN_CLUSTERS - 1, 2 * (MIN_CLUSTERS - 1))
+def test_clusters_without_trials_do_not_count():
+    k, n = [1, 2, 0, 4], [4, 4, 4, 4]
+    assert clustered_interval([*k, 0, 0], [*n, 0, 0]) == clustered_interval(k, n)
+
+
+@pytest.mark.parametrize("objects", [1, 2, MIN_OBJECTS - 1, MIN_OBJECTS + 2])
+@pytest.mark.parametrize("wins", [0, 5, 10])
+def test_objects_that_agree_have_wilsons_interval(objects, wins):
+    found = clustered_interval([wins] * objects, [10] * objects)
+    assert found == rate_interval(wins * objects, 10 * objects)
+    assert found.low < found.high
+
+
+@pytest.mark.parametrize("objects", [2, MIN_OBJECTS - 1, MIN_OBJECTS, 30])
+def test_a_rate_has_the_interval_that_the_mean_of_its_rows_has(objects):
+    rng = np.random.default_rng(objects)
+    rows = [rng.random(20) < p for p in rng.uniform(0.4, 0.6, objects)]
+    rate = clustered_interval([int(r.sum()) for r in rows], [len(r) for r in rows])
+    mean = mean_interval([moments_of(r) for r in rows])
+    assert rate.method == mean.method
+    assert rate.low == pytest.approx(max(0.0, mean.low), abs=1e-12)
+    assert rate.high == pytest.approx(min(1.0, mean.high), abs=1e-12)
+
+
+@pytest.mark.parametrize("objects", [3, 9, 10, 30])
+def test_95_percent_of_intervals_hold_the_rate(objects):
+    rng = np.random.default_rng(objects)
+    held = 0
+    for _ in range(600):
+        found = clustered_interval(
+            rng.binomial(20, rng.beta(4, 2, objects)).tolist(), [20] * objects
+        )
+        held += found.low <= 4 / 6 <= found.high
+    assert 0.92 <= held / 600 <= 0.985

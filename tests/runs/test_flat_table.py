@@ -131,6 +131,16 @@ def test_a_row_says_what_the_shards_say_and_nothing_of_untested_ones(run, tmp_pa
         assert row["protocol"] == "paper-1"
 
 
+def test_metrics_of_a_row_are_of_the_first_test_that_was_run_on_it(run, tmp_path):
+    first = judge(run, "paper-1", "f", run.tasks[:1])
+    second = judge(run, "paper-1", "l", seed=1)
+    write_table(run.path, tmp_path / "t.parquet", quiet=True)
+    for row in read(tmp_path / "t.parquet"):
+        made = first.get(row["grasp_id"], second[row["grasp_id"]])
+        assert row["pd"] == made["pd"]
+        assert (row["suc_f"] is None) == (row["grasp_id"] not in first)
+
+
 def test_csv_has_the_same_cells_with_nothing_for_none(run, tmp_path):
     judge(run, "paper-1", "f", run.tasks[:1])
     write_table(run.path, tmp_path / "t.csv", quiet=True)

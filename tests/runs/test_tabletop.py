@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -9,10 +10,11 @@ import numpy as np
 import pytest
 
 from bidexdata.cli.main import run
-from bidexdata.errors import BadConfig, ConfigConflict
+from bidexdata.errors import BadConfig, ConfigConflict, UnknownChoice
 from bidexdata.frames import matrix_from_quat
 from bidexdata.objects.library import Library
 from bidexdata.record import Status
+from bidexdata.record.scene import setting_of
 from bidexdata.runs.info import describe
 from bidexdata.runs.plan import scene_of
 from bidexdata.runs.run import Run
@@ -68,6 +70,18 @@ def test_another_number_of_rest_poses_is_another_run(library, tmp_path):
 def test_a_number_that_means_nothing_is_refused(options):
     with pytest.raises(BadConfig, match="--rest-poses"):
         SynthRequest(config=SynthConfig(), **options)
+
+
+@pytest.mark.parametrize("setting", ["table", "Floating", ""])
+def test_a_setting_that_there_is_not_is_refused_with_those_there_are(setting):
+    with pytest.raises(UnknownChoice, match="one of floating, tabletop"):
+        setting_of(setting)
+    made = object.__new__(SynthRequest)  # a caller whose types nobody checks
+    for field in dataclasses.fields(SynthRequest):
+        object.__setattr__(made, field.name, field.default)
+    object.__setattr__(made, "setting", setting)
+    with pytest.raises(UnknownChoice, match="--setting"):
+        made.__post_init__()
 
 
 def test_synth_says_so_and_ends_with_6_where_no_object_can_rest(tmp_path, capsys):

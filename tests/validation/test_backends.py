@@ -20,7 +20,7 @@ from bidexdata.validation import (
     on_backend,
     validate_grasps,
 )
-from bidexdata.validation.protocols import Engine
+from bidexdata.validation.protocols import Engine, require_own_name
 
 PAPER = load_protocol("paper-1")
 HERE = Engine(device="cuda", mujoco_warp="4.0.0", warp="1.19.0")
@@ -66,6 +66,15 @@ def test_verdicts_of_two_versions_of_an_engine_do_not_go_on_in_one_place(on_gpu,
     stored = replace(on_backend(PAPER, "mujoco_warp"), engine=engine)
     with pytest.raises(NotUsable, match="'paper-1-warp' are those of MuJoCo Warp"):
         on_backend(stored, "mujoco_warp")
+
+
+def test_the_name_of_a_known_protocol_keeps_its_settings_on_any_engine(on_gpu):
+    other = on_backend(PAPER, "mujoco_warp", "cuda:0")
+    for kept in (PAPER, other, replace(other, engine=OTHERS[0]), replace(PAPER, name="mine-1")):
+        require_own_name(kept)
+    for changed in (PAPER, other):
+        with pytest.raises(NotUsable, match=f"'{changed.name}' is the name of a protocol"):
+            require_own_name(replace(changed, hold=1.0))
 
 
 def test_the_ending_of_a_name_says_which_engine_judged():

@@ -7,7 +7,9 @@ import pytest
 
 from bidexdata.config import fingerprint, from_plain, to_plain
 from bidexdata.errors import BadConfig, UnknownName
+from bidexdata.record.fields import JUDGED, ON_TABLE, TESTS
 from bidexdata.validation import Protocol, load_protocol, protocol_names
+from bidexdata.validation.validate import TESTS as FUNCTIONS
 
 
 def test_paper_1_is_what_the_design_states():
@@ -20,6 +22,11 @@ def test_paper_1_is_what_the_design_states():
     assert p.start_depth == 0.01
     assert p.scene.density == 2.5
     assert (p.scene.friction_slide, p.scene.friction_spin, p.scene.condim) == (0.6, 0.02, 4)
+
+
+def test_there_is_code_for_the_tests_that_can_be_run_and_no_others():
+    assert tuple(FUNCTIONS) == JUDGED
+    assert set(ON_TABLE) < set(JUDGED) < set(TESTS)
 
 
 def test_every_protocol_has_a_sentence_and_survives_plain_data():

@@ -14,6 +14,7 @@ from bidexdata.errors import NotUsable, PathNotFound
 from bidexdata.frames import matrix_from_quat
 from bidexdata.hands.kinematics import forward_kinematics
 from bidexdata.pictures.posing import poses_at
+from bidexdata.record import GraspBatch
 from bidexdata.record.status import Status
 from bidexdata.viewer import page as page_module
 from bidexdata.viewer.app import serve, serve_source
@@ -68,6 +69,36 @@ def test_the_first_page_shows_the_first_grasp_with_its_words(page, source):
     assert "1.23 mm" in page.scores.content
     assert "CC0-1.0" in page.about.content
     assert page.size.options == (ALL_SIZES, "300 mm", "500 mm")
+
+
+def test_the_page_tells_what_every_test_said(server, hands):
+    class Both(Made):
+        tests = ("f", "l")
+
+        def grasps(self, object_id, test=""):
+            batch = self.batches[object_id]
+            if test != "l":
+                return batch
+            n = len(batch)
+            lifted = {
+                "success": np.ones(n, bool),
+                "verdict_status": np.full(n, Status.OK, np.int8),
+                "drift_pos": np.full(n, 0.004, np.float32),
+            }
+            ids = np.array([f"9{i:015x}" for i in range(n)])  # rows that came since
+            late = GraspBatch(batch.header, {**batch.columns, "grasp_id": ids})
+            judged = GraspBatch(batch.header, {**batch.columns, **lifted})
+            return GraspBatch.concat([judged, late])
+
+    server.gui.reset()
+    server.scene.reset()
+    page = Page(server.gui, server.scene, Catalog(Both(hands)), lambda *_: None)
+    assert page.row == 0
+    assert f"fails test f: {Status.SLIP.sentence}" in page.verdict.content
+    assert "passes test l" in page.verdict.content
+    assert "drift under load, test l | 4 mm" in page.scores.content
+    assert page.scores.content.count("penetration PD") == 1 + page.scores.content.count("SPD")
+    assert [len(rows) for rows in page.tested.values()] == [6, 6]
 
 
 def test_one_handed_grasps_are_shown_beside_their_object(server, hands):
@@ -252,7 +283,7 @@ def test_the_server_listens_here_only_and_closes_cleanly(source):
 
 
 def test_a_taken_port_is_said_and_the_address_is_that_of_the_server(source, monkeypatch, capsys):
-    monkeypatch.setattr("bidexdata.viewer.app.open_browsable", lambda path: source)
+    monkeypatch.setattr("bidexdata.viewer.app.open_browsable", lambda path, protocol: source)
     monkeypatch.setattr("bidexdata.viewer.app.wait_until_interrupted", lambda s: s.stop())
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
@@ -293,8 +324,8 @@ def test_rows_are_found_by_size_outcome_and_kind(hands, source):
 
 def test_words_are_escaped_and_missing_numbers_left_out(source):
     batch = source.batches["box0-00000000"]
-    assert "<script" not in verdict_html(batch, 0, test="<script>")
-    table = scores_markdown(batch, 0)
+    assert "<script" not in verdict_html({"<script>": batch}, 0)
+    table = scores_markdown({"f": batch}, 0)
     assert "PD" in table
     assert "load margin" not in table  # not measured
 

@@ -249,4 +249,5 @@ FORMAT = Format(
     max_bytes=MAX_BYTES,
     find_object=find_object,
     load_object=load_object,
+    protocol="dexgraspbench-1",
 )

@@ -138,3 +138,5 @@ class Format:
     raises `BadFile`."""
     load_object: Callable[[ObjectSource, PrepareConfig], PreparedObject]
     """Make the object; raises `PrepareFailure`."""
+    protocol: str
+    """The protocol by which the other project judges such grasps."""
