@@ -38,6 +38,10 @@ def validate(
     analytic: Annotated[
         bool, typer.Option("--analytic", help="Compute Q1 and the QP certificate too.")
     ] = False,
+    plain: Annotated[
+        bool,
+        typer.Option("--plain", help="Hold every load to its end (about seven times slower)."),
+    ] = False,
     replay: Annotated[
         str | None,
         typer.Option(metavar="GRASP_ID", help="Test one grasp of a run again and look on."),
@@ -94,6 +98,7 @@ def validate(
                 "--out": out is not None,
                 "--load-margin": load_margin,
                 "--analytic": analytic,
+                "--plain": plain,
                 "--workers": workers != 0,
                 "--executor": executor != "processes",
                 "--shard": shard is not None,
@@ -104,7 +109,11 @@ def validate(
     if video is not None:
         raise typer.BadParameter("--video films one grasp: name it with --replay GRASP_ID")
     execution = options.execution_of(executor, workers, shard, quiet)
-    wanted: dict[Extra, bool] = {"load_margin": load_margin, "analytic": analytic}
+    wanted: dict[Extra, bool] = {
+        "load_margin": load_margin,
+        "analytic": analytic,
+        "plain": plain,
+    }
     extras: list[Extra] = [name for name, asked in wanted.items() if asked]
     device = device or ("cuda:0" if backend == "mujoco_warp" else "cpu")
     rules = on_backend(rules, backend, device)  # before anything is written

@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from bidexdata.validation.backends import Backend
     from bidexdata.validation.protocols import Protocol
 
-Extra = Literal["load_margin", "analytic"]
-"""Columns that cost extra and are measured when asked for."""
+Extra = Literal["load_margin", "analytic", "plain"]
+"""What costs extra and is done when asked for: two columns, and loads that are never ended early."""
 
 
 def validate_run(
@@ -67,7 +67,7 @@ def validate_run(
         protocol: Settings of the tests.
         tests: Names of tests; what the rows allow when empty.
         execution: Where and how.
-        extras: Columns to measure besides; tasks that were tested without are tested again.
+        extras: What else to do; tasks that were tested without are tested again.
         backend: The engine that judges, `mujoco` or `mujoco_warp`.
         device: Warp device of `mujoco_warp`.
 
@@ -105,7 +105,11 @@ def validate_run(
 def _how(extras: Sequence[Extra]) -> stages.Execution:
     from bidexdata.validation import stages
 
-    return stages.Execution(load_margin="load_margin" in extras, analytic="analytic" in extras)
+    return stages.Execution(
+        early_stop="plain" not in extras,
+        load_margin="load_margin" in extras,
+        analytic="analytic" in extras,
+    )
 
 
 def _for_one_device(execution: Execution) -> Execution:

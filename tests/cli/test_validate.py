@@ -122,6 +122,25 @@ def test_validate_run_refuses_other_settings_under_a_published_name(floating):
         validate_run(Run.open(floating), replace(paper, name="dexgraspbench-1"))
 
 
+def test_loads_held_to_their_end_say_so_and_agree(library):
+    folder = made(library, "plain")
+    validate = ["validate", str(folder), "--set", "name=brief-2", "--set", "hold=0.3", *INLINE]
+    assert run(validate) == 0
+    opened = Run.open(folder)
+    (task,) = opened.tasks
+    path = shard_path(opened.stage_folder("validate", "brief-2", "f"), task.task_id)
+    quick = next(iter(opened.batches("brief-2", "f"))).success
+    assert read_mark(path).notes["execution"]["early_stop"]
+    assert run([*validate, "--plain"]) == 0
+    assert not read_mark(path).notes["execution"]["early_stop"]
+    before = path.read_bytes()
+    assert run(validate) == 0  # plain verdicts are not replaced by quick ones
+    assert path.read_bytes() == before
+    np.testing.assert_array_equal(
+        next(iter(Run.open(folder).batches("brief-2", "f"))).success, quick
+    )
+
+
 def test_extra_columns_are_measured_once_asked_for_and_never_lost(library):
     folder = made(library, "extras")
     validate = ["validate", str(folder), "--set", "name=brief-1", "--set", "hold=0.3", *INLINE]
