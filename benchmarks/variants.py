@@ -6,11 +6,10 @@ Every variant judges the same audit rows with synth_status OK; the tables go int
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.rows import over_tasks, pool, task_rows
 from bidexdata import Run
@@ -58,22 +57,14 @@ def variants(test: str) -> dict[str, Protocol]:
     return {what: with_overrides(base, [*keys]) for what, keys in made.items()}
 
 
-def measure(path: str, test: str, rows: int, workers: int = 2) -> dict[str, Any]:
-    """Success and agreement with paper-1 of every variant on the first `rows` audit rows a task."""
-    run = Run.open(path)
-    found: dict[str, list[bool]] = {}
+def measure(
+    run: Run, test: str, rows: int, workers: int = 2
+) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """Give every variant with its successes on `rows` audit rows a task, `paper-1` first."""
     with pool(workers) as executor:
         for what, rules in variants(test).items():
             parts = over_tasks(executor, run, _judge, test, rows, rules)
-            found[what] = [v for part in parts for v in part]
-    base = np.array(found["paper-1"])
-    return {
-        "run": run.fingerprint,
-        "test": test,
-        "n": len(base),
-        "success": {what: float(np.mean(v)) for what, v in found.items()},
-        "agreement": {what: float(np.mean(np.array(v) == base)) for what, v in found.items()},
-    }
+            yield what, np.array([v for part in parts for v in part])
 
 
 def _judge(path: str, number: int, test: str, rows: int, rules: Protocol) -> list[bool]:
@@ -86,21 +77,20 @@ def _judge(path: str, number: int, test: str, rows: int, rules: Protocol) -> lis
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the table as Markdown and JSON."""
+    """Print the table as Markdown, line by line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run")
     parser.add_argument("--test", default="f")
     parser.add_argument("--rows", type=int, default=8, help="audit rows a task")
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args(arguments)
-    figures = measure(asked.run, asked.test, asked.rows, asked.workers)
-    print(
-        f"| variant of paper-1, test {asked.test}, N = {figures['n']} | success [%] | same verdict [%] |"
-    )
-    print("|---|---|---|")
-    for what, rate in figures["success"].items():
-        print(f"| {what} | {100 * rate:.1f} | {100 * figures['agreement'][what]:.1f} |")
-    print(json.dumps(figures))
+    run, base = Run.open(asked.run), np.zeros(0, bool)
+    print(f"run {run.fingerprint}, test {asked.test}, {asked.rows} audit rows a task")
+    print("| variant of paper-1 | success [%] | same verdict [%] | N |\n|---|---|---|---|")
+    for what, success in measure(run, asked.test, asked.rows, asked.workers):
+        base = base if len(base) else success
+        shares = f"{100 * success.mean():.1f} | {100 * np.mean(success == base):.1f}"
+        print(f"| {what} | {shares} | {len(success)} |", flush=True)
 
 
 if __name__ == "__main__":
