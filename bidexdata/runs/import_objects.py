@@ -63,7 +63,7 @@ def make_objects(
     work = partial(_make_object, form.name, str(library))
     how: dict[str, Any] = {"executor": execution.executor, "workers": execution.workers}
     before = len(ids) - len(missing)
-    with Progress(len(ids), "object made", execution.quiet, already=before) as progress:
+    with Progress(len(ids), "object made", quiet=execution.quiet, already=before) as progress:
         for source, result in run_tasks([sources[i] for i in missing], work, **how):
             crashed = isinstance(result, TaskFailure)
             failure = (Status.CRASHED, result.reason) if crashed else result

@@ -142,7 +142,7 @@ def prepare_library(
     my_tasks = {n: tasks[n] for n in mine if n in tasks}
     to_do = {n: t for n, t in my_tasks.items() if not _complete(t)}
     remove_partials(out)
-    with Progress(len(mine), "object", quiet, already=len(mine) - len(to_do)) as progress:
+    with Progress(len(mine), "object", quiet=quiet, already=len(mine) - len(to_do)) as progress:
         for number, result in _run(to_do, config, executor, workers):
             rows[number].update(result)
             if rows[number]["status"] != Status.OK:
