@@ -33,7 +33,7 @@ def verify(
     from bidexdata.formats.verify import verify_release
     from bidexdata.runs.resimulate import resimulate
 
-    report = verify_release(release, full, resimulate=resimulate if full else None)
+    report = verify_release(release, full=full, resimulate=resimulate if full else None)
     lines = [f"{'ok ' if c.ok else 'BAD'} {c.name}: {c.detail}" for c in report.checks]
     finish(
         report.to_dict(),

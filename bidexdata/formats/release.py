@@ -205,6 +205,7 @@ class Release:
     def grasps(
         self,
         object_id: str | None = None,
+        *,
         size_mm: int | None = None,
         split: str | None = None,
         configuration: str = "selected",

@@ -71,8 +71,8 @@ class VerifyReport:
 
 def verify_release(
     path: str | Path,
-    full: bool = False,
     *,
+    full: bool = False,
     resimulate: Resimulate | None = None,
     sample: int = 8,
     seed: int = 0,

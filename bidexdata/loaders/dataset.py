@@ -49,6 +49,7 @@ class BiDexDataset:
     def __init__(
         self,
         root: str | Path,
+        *,
         split: str | None = "train",
         where: Where = None,
         fields: Sequence[str] | None = None,

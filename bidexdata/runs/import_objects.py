@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bidexdata.config import to_plain
-from bidexdata.errors import Contradiction
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.library import content_sha256, object_folder, write_index
+from bidexdata.objects.library import object_folder, write_index
 from bidexdata.objects.storage import read_document, write_object
 from bidexdata.record import Status
 from bidexdata.runs.executors import TaskFailure, run_tasks
 from bidexdata.runs.import_scan import MEMORY_GIB, FileRow
 from bidexdata.runs.memory import limit_memory
+from bidexdata.runs.object_folders import index_columns, is_made, remove_partials
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.stage import Execution
 
@@ -57,14 +56,14 @@ def make_objects(
 ) -> tuple[list[FileRow], list[dict[str, Any]]]:
     """Make the objects that are not there yet, and the library's index; files without one fail."""
     ids = sorted(sources)
-    for partial_folder in library.glob("objects/*/.*.partial"):
-        shutil.rmtree(partial_folder, ignore_errors=True)
-    missing = [i for i in ids if not _is_made(library / object_folder(i), sources[i])]
+    remove_partials(library)
+    folders, config = {i: library / object_folder(i) for i in ids}, _config()
+    missing = [i for i in ids if not is_made(folders[i], sources[i].sha256, config)]
     failures: dict[str, tuple[Status, str]] = {}
     work = partial(_make_object, form.name, str(library))
     how: dict[str, Any] = {"executor": execution.executor, "workers": execution.workers}
     before = len(ids) - len(missing)
-    with Progress(len(ids), "object made", execution.quiet, already=before) as progress:
+    with Progress(len(ids), "object made", quiet=execution.quiet, already=before) as progress:
         for source, result in run_tasks([sources[i] for i in missing], work, **how):
             crashed = isinstance(result, TaskFailure)
             failure = (Status.CRASHED, result.reason) if crashed else result
@@ -72,9 +71,9 @@ def make_objects(
                 failures[source.object_id] = failure
                 progress.write(f"object {source.name}: {failure[1]}")
             progress.advance(note=source.name)
-    index = [_index_row(library, sources[i], failures.get(i)) for i in ids]
+    index = [_index_row(folders[i], sources[i], failures.get(i)) for i in ids]
     if index:
-        write_index(library, index, _config())
+        write_index(library, index, config)
     reasons = {i: f"its object failed: {reason}" for i, (_, reason) in failures.items()}
     kept = [
         f.refused(reasons[f.object_id]) if f.object_id in reasons and not f.failed else f
@@ -101,19 +100,6 @@ def _make_object(form_name: str, library: str, source: ObjectSource) -> tuple[St
     return None
 
 
-def _is_made(folder: Path, source: ObjectSource) -> bool:
-    """Tell whether an object's folder is there and was made of these bytes in this way."""
-    if not folder.is_dir():
-        return False
-    try:
-        document = read_document(folder)
-        content_sha256(folder)
-    except Contradiction:
-        return False
-    made_of = document["provenance"].get("source_sha256")
-    return made_of == source.sha256 and document.get("config") == _config()
-
-
 def _config() -> dict[str, Any]:
     """The configuration that decides an object's bytes."""
     plain = to_plain(PrepareConfig())
@@ -121,7 +107,7 @@ def _config() -> dict[str, Any]:
 
 
 def _index_row(
-    library: Path, source: ObjectSource, failure: tuple[Status, str] | None
+    folder: Path, source: ObjectSource, failure: tuple[Status, str] | None
 ) -> dict[str, Any]:
     status, reason = failure or (Status.OK, "")
     row: dict[str, Any] = {
@@ -136,13 +122,6 @@ def _index_row(
     }
     if failure is not None:
         return row
-    folder = library / object_folder(source.object_id)
-    document = read_document(folder)
-    known = document["provenance"]
-    return {
-        **row,
-        **{k: v for k, v in known.items() if k not in row or k == "warnings"},
-        "volume": document["volume"],
-        "rest_poses": len(document["rest_heights"]),
-        "content_sha256": content_sha256(folder),
-    }
+    known = read_document(folder)["provenance"]
+    origin = {name: known[name] for name in ("source", "licence", "author", "category")}
+    return {**row, **origin, **index_columns(folder)}

@@ -64,7 +64,7 @@ def scan(form: Format, root: Path, names: Sequence[str], execution: Execution) -
     """Read every file once; the result is in the order of `names`."""
     chunks = [tuple(names[i : i + _CHUNK]) for i in range(0, len(names), _CHUNK)]
     found: dict[str, FileRow] = {}
-    with Progress(len(names), "file read", execution.quiet) as progress:
+    with Progress(len(names), "file read", quiet=execution.quiet) as progress:
         for chunk, rows in _read_all(form, root, chunks, execution):
             found.update((row.file, row) for row in rows)
             progress.advance(len(chunk))

@@ -131,7 +131,7 @@ def pack_runs(
     def load_object(object_id: str) -> PreparedObject:
         return objects[object_id].library.load(object_id)
 
-    with Progress(len(ids), "object", quiet) as progress:
+    with Progress(len(ids), "object", quiet=quiet) as progress:
         summary = write_release(
             Path(out),
             name=name,

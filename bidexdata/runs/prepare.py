@@ -8,7 +8,6 @@ the same inputs and configuration give the same bytes.
 from __future__ import annotations
 
 import hashlib
-import shutil
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,14 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from bidexdata.config import differing_keys, to_plain
-from bidexdata.errors import ConfigConflict, Contradiction, NotUsable
+from bidexdata.errors import ConfigConflict, NotUsable
 from bidexdata.kinds import INDEX, OBJECTS
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.identity import object_id_of, source_bytes
 from bidexdata.objects.library import (
     Library,
-    content_sha256,
     failures_of,
     object_folder,
     write_index,
@@ -35,10 +33,10 @@ from bidexdata.objects.storage import read_document, write_object
 from bidexdata.record.status import Status
 from bidexdata.runs.executors import TaskFailure, check_executor, run_tasks
 from bidexdata.runs.memory import limit_memory
+from bidexdata.runs.object_folders import index_columns, is_made, remove_partials
 from bidexdata.runs.plan import take_shard
 from bidexdata.runs.prepare_parts import Parts, Row
 from bidexdata.runs.progress import Progress
-from bidexdata.runs.shards import orphans
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,8 +141,8 @@ def prepare_library(
 
     my_tasks = {n: tasks[n] for n in mine if n in tasks}
     to_do = {n: t for n, t in my_tasks.items() if not _complete(t)}
-    _remove_partials(out)
-    with Progress(len(mine), "object", quiet, already=len(mine) - len(to_do)) as progress:
+    remove_partials(out)
+    with Progress(len(mine), "object", quiet=quiet, already=len(mine) - len(to_do)) as progress:
         for number, result in _run(to_do, config, executor, workers):
             rows[number].update(result)
             if rows[number]["status"] != Status.OK:
@@ -158,7 +156,7 @@ def prepare_library(
     known = mine if waiting else range(len(items))
     for number in known:
         if rows[number]["status"] == Status.OK:
-            rows[number].update(_row_from_disk(tasks[number]))
+            rows[number].update(index_columns(_folder(tasks[number])))
     if not waiting:
         write_index(out, rows, _identity(config))
         parts.remove()
@@ -187,8 +185,7 @@ def prepare_one(task: PrepareTask) -> Row:
         bound = task.config.limits.memory_gib
         return _failed(Status.TOO_COMPLEX, f"needs more than limits.memory_gib = {bound:g} GiB")
     if not _complete(task):  # by another machine, meanwhile
-        folder = task.library / object_folder(task.object_id)
-        write_object(folder, obj, _identity(task.config))
+        write_object(_folder(task), obj, _identity(task.config))
     return {}
 
 
@@ -250,7 +247,7 @@ def _settle_others(others: Mapping[int, PrepareTask], rows: list[Row], parts: Pa
     if not others:
         return 0
     failures = parts.failures()
-    there = {n for n, t in others.items() if (t.library / object_folder(t.object_id)).is_dir()}
+    there = {n for n, t in others.items() if _folder(t).is_dir()}
     waiting = others.keys() - there - failures.keys()
     if not waiting:  # a cut or foreign folder counts as none; looking inside takes long
         whole = {n for n in there if _complete(others[n])}
@@ -265,34 +262,12 @@ def _failed(status: Status, reason: str) -> Row:
     return {"status": int(status), "status_label": status.label, "reason": text}
 
 
-def _row_from_disk(task: PrepareTask) -> Row:
-    """Columns of a prepared object, from its folder: the same whether made now or before."""
-    folder = task.library / object_folder(task.object_id)
-    document = read_document(folder)
-    known = document["provenance"]
-    names = (
-        *("source_faces", "source_diagonal", "repair", "hausdorff", "piece_method", "pieces"),
-        *("volume_ratio", "solid_hausdorff", "warnings"),
-    )
-    return {
-        **{name: known[name] for name in names},
-        "volume": document["volume"],
-        "rest_poses": len(document["rest_heights"]),
-        "content_sha256": content_sha256(folder),
-    }
+def _folder(task: PrepareTask) -> Path:
+    return task.library / object_folder(task.object_id)
 
 
 def _complete(task: PrepareTask) -> bool:
-    """Tell whether the object's folder is there and was made from these bytes."""
-    folder = task.library / object_folder(task.object_id)
-    if not folder.is_dir():
-        return False
-    try:
-        document = read_document(folder)
-        content_sha256(folder)
-    except Contradiction:
-        return False
-    return document["provenance"]["source_sha256"] == task.sha256
+    return is_made(_folder(task), task.sha256)
 
 
 def _check_out(out: Path, config: PrepareConfig) -> None:
@@ -320,11 +295,3 @@ def _identity(config: PrepareConfig) -> dict[str, Any]:
     plain = to_plain(config)
     del plain["limits"]
     return plain
-
-
-def _remove_partials(out: Path) -> None:
-    """Remove what killed workers left half written, and nothing of other machines at work."""
-    for partial in orphans(out.glob(f"{OBJECTS}/*/.*.partial")):
-        shutil.rmtree(partial, ignore_errors=True)
-    for partial in orphans(out.glob(".*.partial")):
-        partial.unlink(missing_ok=True)

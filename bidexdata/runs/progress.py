@@ -29,8 +29,8 @@ class Progress:
         self,
         total: int,
         unit: str,
-        quiet: bool = False,
         *,
+        quiet: bool = False,
         already: int = 0,
         stream: TextIOBase | None = None,
     ):

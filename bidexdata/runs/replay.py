@@ -200,7 +200,7 @@ def _draw(
     def frames():
         shown = zip((m.pose for m in moments), captions(), strict=True)
         drawn = simulation_frames(shown, solid, size, scene.hands, camera, table=table)
-        with Progress(total, "picture", quiet) as progress:
+        with Progress(total, "picture", quiet=quiet) as progress:
             for number, picture in enumerate(drawn, start=1):
                 times = total - len(moments) + 1 if number == len(moments) else 1
                 yield from [picture] * times

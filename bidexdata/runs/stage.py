@@ -88,7 +88,7 @@ def run_stage(
     by_status: Counter[str] = Counter()
     logger = log_to(logs)
     before = len(tasks) - len(open_tasks)
-    with Progress(len(tasks), unit, execution.quiet, already=before) as progress:
+    with Progress(len(tasks), unit, quiet=execution.quiet, already=before) as progress:
         results = run_tasks(
             open_tasks, work, executor=execution.executor, workers=execution.workers
         )

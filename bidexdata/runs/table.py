@@ -155,7 +155,10 @@ def _write(
     def fill(temporary: Path) -> None:
         nonlocal rows
         kind: Any = pq.ParquetWriter if out.suffix.lower() == ".parquet" else csv.CSVWriter
-        with kind(str(temporary), schema) as writer, Progress(total, "object", quiet) as progress:
+        with (
+            kind(str(temporary), schema) as writer,
+            Progress(total, "object", quiet=quiet) as progress,
+        ):
             for table in tables:
                 writer.write_table(table)
                 rows += table.num_rows

@@ -135,7 +135,7 @@ def test_grasps_are_found_by_object_size_and_configuration(packed):
     release = Release.open(packed)
     for object_id in OBJECTS:
         for mm in SIZES:
-            batch = release.grasps(object_id, mm)
+            batch = release.grasps(object_id, size_mm=mm)
             assert len(batch) == PER_SCENE
             assert set(batch["object_id"]) == {object_id}
             assert set(batch["size_mm"]) == {mm}

@@ -286,7 +286,7 @@ def test_duplicates_across_scenes_are_found(tmp_path):
     rows = made_rows(OBJECTS[0])
     out = made_release(tmp_path / "r", (OBJECTS[0],), rows_of=lambda _: [rows])
     release = Release.open(out)
-    twin = release.grasps(OBJECTS[0], SIZES[0])["grasp_id"][0]
+    twin = release.grasps(OBJECTS[0], size_mm=SIZES[0])["grasp_id"][0]
     at = PER_SCENE  # first row of the second scene
     for table in ("grasps", "contacts", "verdicts/paper-1-f"):
         rewrite(out, table, put("grasp_id", at, str(twin)))
