@@ -116,7 +116,7 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
 
     Raises:
         PathNotFound: The file does not exist.
-        BadConfig: It is not YAML, or not a mapping.
+        BadConfig: It cannot be read, is no text, no YAML, or no mapping.
     """
     path = Path(path)
     if not path.is_file():
@@ -125,6 +125,8 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as err:
         raise BadConfig(f"{path}: not a text file ({err.reason})") from err
+    except OSError as err:
+        raise BadConfig(f"{path}: cannot be read ({err.strerror})") from err
     data = _parse_yaml(text, str(path))
     if not isinstance(data, dict):
         raise BadConfig(f"{path}: expected a mapping of keys to values at the top")

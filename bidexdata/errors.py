@@ -90,7 +90,7 @@ class MissingExtra(NotUsable):
 
 
 class Contradiction(BidexError):
-    """A release, library or shard contradicts its manifest or header (damage or tampering)."""
+    """A release, run or library contradicts its manifest or header (damage or tampering)."""
 
     exit_code = 4
 

@@ -78,7 +78,6 @@ def quat_from_matrix(R: ArrayLike) -> Array:
     # Four times the squared component, largest first: never divides by a small number.
     squares = np.concatenate([(1 + trace)[:, None], 1 - trace[:, None] + 2 * d], axis=1)
     best = np.argmax(squares, axis=1)
-    q = np.empty((len(m), 4))
     skew = np.stack([m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], 1)
     sym = np.stack([m[:, 1, 0] + m[:, 0, 1], m[:, 0, 2] + m[:, 2, 0], m[:, 2, 1] + m[:, 1, 2]], 1)
     xy, xz, yz = sym.T

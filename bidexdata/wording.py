@@ -15,3 +15,12 @@ def counted(n: int, one: str, many: str = "") -> str:
     ('1 row', '0 rows', '2 tasks are')
     """
     return f"{n} {one if n == 1 else many or one + 's'}"
+
+
+def share(value: float | None, missing: str = "-") -> str:
+    """A share in percent, or the word for one that there is not.
+
+    >>> share(0.875), share(None)
+    ('87.5 %', '-')
+    """
+    return missing if value is None else f"{100 * value:.1f} %"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bidexdata.cli.report import counts_text, percent, share, table
-from bidexdata.wording import counted
+from bidexdata.cli.report import counts_text, percent, table
+from bidexdata.wording import counted, share
 
 KEPT_MEANS = "kept = selected grasps / grasps wanted"
 LEGEND = (

@@ -57,8 +57,8 @@ app = typer.Typer(
     help="Turn mesh files into published, verified, trainable datasets of two-handed grasps.",
     epilog=(
         "Exit codes: 0 done; 1 a bug; 2 an option or value that cannot be read or is out of range; "
-        "3 something named does not exist or cannot be used; 4 a release or library contradicts its manifest; 5 another configuration; "
-        "6 nothing succeeded; 130 interrupted."
+        "3 something named does not exist or cannot be used; 4 a release, run or library contradicts "
+        "its manifest or header; 5 another configuration; 6 nothing succeeded; 130 interrupted."
     ),
     no_args_is_help=True,
     pretty_exceptions_enable=False,

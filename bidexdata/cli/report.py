@@ -113,15 +113,9 @@ def no_scene_text(object_ids: Sequence[str]) -> str:
 
 def percent(rate: Mapping[str, Any] | None) -> str:
     """A rate with its interval: `91.2 % (88.0-93.6, 456 of 500)`; `-` where there is none."""
-    if not rate or rate.get("rate") is None:
-        return "-"
-    low, high = 100 * rate["low"], 100 * rate["high"]
-    return f"{100 * rate['rate']:.1f} % ({low:.1f}-{high:.1f}, {rate['k']} of {rate['n']})"
+    from bidexdata.record.rates import Rate
 
-
-def share(value: float | None) -> str:
-    """A share without interval: `87.5 %`."""
-    return "-" if value is None else f"{100 * value:.1f} %"
+    return str(Rate(**rate)) if rate and rate["n"] else "-"
 
 
 def table(rows: list[list[str]]) -> list[str]:

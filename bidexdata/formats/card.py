@@ -16,7 +16,7 @@ from bidexdata.formats.groups import METRICS
 from bidexdata.formats.metric_text import metric_head, metric_text
 from bidexdata.objects.sources.item import UNKNOWN
 from bidexdata.record.rates import Rate
-from bidexdata.wording import counted
+from bidexdata.wording import counted, share
 
 CARD = "DATASET_CARD.md"
 README = "README.md"
@@ -239,7 +239,7 @@ def _size_category(rows: int) -> str:
 
 
 def _share(value: float | None) -> str:
-    return "not available" if value is None else f"{100 * value:.1f} %"
+    return share(value, missing="not available")
 
 
 def _markdown(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:

@@ -125,11 +125,6 @@ def free_limits(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
     return lower, upper
 
 
-def free_from_joints(hand: Hand, joints: np.ndarray) -> np.ndarray:
-    """Free variables whose joints are nearest to `joints` (*b, J) in least squares, (*b, D)."""
-    return np.asarray(joints, np.float64) @ np.linalg.pinv(hand.coupling).T
-
-
 def allocate(dev: DeviceHand, grasps: int) -> HandState:
     """Make the buffers for `grasps` grasps."""
     bodies, contacts = len(dev.hand.body_names), len(dev.hand.contact_names)

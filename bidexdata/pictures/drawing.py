@@ -24,6 +24,7 @@ Surface = Literal["mesh", "pieces"]
 
 OBJECT_COLOUR: Colour = (0.93, 0.78, 0.50)
 HAND_COLOURS: dict[str, Colour] = {"left": (0.25, 0.50, 0.85), "right": (0.30, 0.68, 0.45)}
+HAND_COLOUR_NAMES = {"left": "blue", "right": "green"}
 CONTACT_COLOUR: Colour = (0.85, 0.12, 0.16)
 GROUND_COLOUR: Colour = (0.80, 0.80, 0.79)
 

@@ -118,9 +118,6 @@ FIELDS: dict[str, Field] = {field.name: field for field in _ALL}
 ADDED_IN = dict.fromkeys(("size", "failed_stage", "q1", "qp_certificate"), "1.1")
 """Schema version that brought a column; data of earlier versions does without it."""
 
-IDENTITY = ("grasp_id", "scene_id", "object_id", "size_mm", "setting", "attempt")
-"""Columns that every shard and table repeats or can be joined on."""
-
 
 def columns_written_by(stage: str) -> tuple[str, ...]:
     """Names of the columns that a stage writes, in table order."""

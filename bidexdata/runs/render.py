@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 Only = Literal["success", "failure"]
 
 DEFAULT_COUNT = 12
-HAND_COLOUR_NAMES = {"left": "blue", "right": "green"}
 WIDTH, HEIGHT = 280, 240
 """Pixels of one view."""
 VIDEO_MOMENTS = (
@@ -278,6 +277,8 @@ def _check(out: Path, source: Browsable, *, only: Only | None, count: int, video
 
 
 def _title(source: Browsable, only: Only | None, sides: Sequence[str]) -> str:
+    from bidexdata.pictures.drawing import HAND_COLOUR_NAMES
+
     what = {"success": "grasps that passed", "failure": "grasps that failed", None: "grasps"}[only]
     if source.kind == "library":
         return f"{source.path.name}: objects, repaired mesh beside convex pieces"

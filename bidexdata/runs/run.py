@@ -183,14 +183,6 @@ class Run:
             if task.task_id in done:
                 yield self.task_batch(task, protocol, test)
 
-    def object_batch(
-        self, object_id: str, protocol: str | None = None, test: str | None = None
-    ) -> GraspBatch | None:
-        """All finished rows of one object, rounds joined; None where there are none."""
-        done = self.done() if protocol is None else self.done() & self.done(protocol, test or "f")
-        mine = [t for t in self.tasks_of(object_id) if t.task_id in done]
-        return join_tasks([self.task_batch(t, protocol, test) for t in mine]) if mine else None
-
     def tasks_of(self, object_id: str) -> list[Task]:
         """The tasks of one object, in plan order."""
         return self._by_object.get(object_id, [])

@@ -112,24 +112,6 @@ def surface_normal(field: DistanceField, size: float, x: wp.vec3, step: float) -
 
 
 @wp.kernel
-def sample_distance(
-    # Object:
-    field: DistanceField,
-    size: wp.array[float],
-    # Problem in:
-    points_in: wp.array2d[wp.vec3],
-    # Problem out:
-    distance_out: wp.array2d[float],
-    gradient_out: wp.array2d[wp.vec3],
-):
-    """Signed distances and gradients of points, (N, P)."""
-    grasp, i = wp.tid()
-    s = signed_distance(field, size[grasp], points_in[grasp, i])
-    distance_out[grasp, i] = s[0]
-    gradient_out[grasp, i] = wp.vec3(s[1], s[2], s[3])
-
-
-@wp.kernel
 def closest_surface(
     # Object:
     field: DistanceField,

@@ -42,17 +42,6 @@ def force_support(
     return np.maximum(along + mu * across, 0.0).sum(axis=-2)
 
 
-def stability_score(
-    normals_in: Float[np.ndarray, "*b C 3"], *, mu: float
-) -> Float[np.ndarray, "*b"]:
-    """Give the paper's score s: the largest force in the worst of the six axis directions.
-
-    Source:
-        BiDexGrasp 4.2, step 2, with the exact support function in place of samples.
-    """
-    return np.asarray(force_support(normals_in, AXES, mu=mu).min(axis=-1))
-
-
 def sampled_boundary(
     points: Float[np.ndarray, "C 3"],
     normals_in: Float[np.ndarray, "C 3"],

@@ -25,6 +25,7 @@ from bidexdata.runs.browse import open_browsable
 from bidexdata.runs.finished import Finished
 from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.pack import rows_of_object
+from bidexdata.runs.run import join_tasks
 from bidexdata.runs.shards import done_tasks, read_shard, write_shard
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -195,8 +196,7 @@ def test_grasps_may_grow_and_old_shards_stay(whole: Path, library: Path, capsys)
     assert (grown.spec.grasps, grown.spec.candidates) == (3, 7)
     assert grown.fingerprint == Run.open(whole).fingerprint
     for object_id in grown.object_ids:
-        batch = grown.object_batch(object_id)
-        assert batch is not None
+        batch = join_tasks([grown.task_batch(t) for t in grown.tasks_of(object_id)])
         assert int(batch["audit"].sum()) == 3
         assert len(set(batch["grasp_id"].tolist())) == len(batch)
         assert len(set(batch["attempt"].tolist())) == len(batch)

@@ -16,11 +16,11 @@ from bidexdata.hands.device import (
     backward,
     device_hand,
     forward,
-    free_from_joints,
     free_limits,
 )
 from bidexdata.hands.kinematics import forward_kinematics, hand_points
 from bidexdata.hands.torch_layer import HandModel
+from bidexdata.synthesis.workspace import free_variables
 
 METRES = 1e-5  # the bound; float32 at a metre resolves 1e-7
 HALF_TURNS = np.eye(4)  # identity and the half turns about x, y, z
@@ -135,7 +135,7 @@ def test_free_variables_and_joints_convert_both_ways(hand, rng):
     joints = free @ hand.coupling.T
     assert np.all(joints >= hand.joint_lower - 1e-12)
     assert np.all(joints <= hand.joint_upper + 1e-12)
-    np.testing.assert_allclose(free_from_joints(hand, joints), free, atol=1e-12)
+    np.testing.assert_allclose(free_variables(hand, joints), free, atol=1e-12)
 
 
 def _bases(rng, count):

@@ -199,7 +199,7 @@ def test_field_kernels_equal_the_reference(count):
     d, g = poison((count, 33)), poison((count, 33), wp.vec3)
     p, n = poison((count, 33), wp.vec3), poison((count, 33), wp.vec3)
     field = device_field(grid)
-    launch(k.sample_distance, (count, 33), [field, floats(size), vectors(x)], [d, g])
+    launch(k.closest_surface, (count, 33), [field, floats(size), 0.008, vectors(x)], [d, g, p, n])
     reference = [signed_distance(grid, s, row) for s, row in zip(size, x, strict=True)]
     assert_close(d, [r[0] for r in reference])
     assert_close(g, [r[1] for r in reference], SLOPE_TOLERANCE)

@@ -9,12 +9,16 @@ from bidexdata.wrench.support import (
     force_support,
     sampled_boundary,
     sampled_score,
-    stability_score,
 )
 
 
 def unit(v):
     return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def stability_score(normals_in, *, mu):
+    """The paper's score without samples: the largest force in the worst of the six directions."""
+    return force_support(normals_in, AXES, mu=mu).min(axis=-1)
 
 
 def contacts(rng, count):
