@@ -22,6 +22,8 @@ from bidexdata.record import GraspBatch
 
 COLUMNS = ("object_pos", "object_quat_wxyz", "hand_pos", "hand_quat_wxyz", "joints")
 _TINY = 1e-12
+GRASP = 1
+"""The stage that counts."""
 
 
 class Diversity(NamedTuple):
@@ -43,8 +45,12 @@ class DiversityTally:
         self._products = np.zeros((0, 0))
 
     def add(self, batch: GraspBatch, mask: NDArray[np.bool_]) -> None:
-        """Count the marked rows whose numbers are all finite."""
-        if any(name not in batch for name in COLUMNS) or not mask.any():
+        """Count the marked rows whose numbers are all finite and whose rotations are some."""
+        if any(name not in batch for name in COLUMNS):
+            return
+        mask = mask & _turns(batch.object_quat_wxyz)
+        mask &= _turns(batch.hand_quat_wxyz[:, :, GRASP]).all(axis=1)
+        if not mask.any():
             return
         vectors = grasp_vectors(batch.select(mask))
         vectors = vectors[np.isfinite(vectors).all(axis=1)]
@@ -75,11 +81,17 @@ def grasp_vectors(batch: GraspBatch) -> NDArray[np.float64]:
     back = quat_conjugate(batch["object_quat_wxyz"].astype(np.float64))
     parts = []
     for h, hand in enumerate(batch.header.hands):
-        offset = (batch["hand_pos"][:, h, 1] - batch["object_pos"]).astype(np.float64)
-        turn = quat_multiply(back, batch["hand_quat_wxyz"][:, h, 1].astype(np.float64))
-        joints = batch["joints"][:, h, 1, : len(hand.joint_names)]
+        offset = (batch["hand_pos"][:, h, GRASP] - batch["object_pos"]).astype(np.float64)
+        turn = quat_multiply(back, batch["hand_quat_wxyz"][:, h, GRASP].astype(np.float64))
+        joints = batch["joints"][:, h, GRASP, : len(hand.joint_names)]
         parts += [quat_rotate(back, offset), rotation_vector_from_quat(turn), joints]
     return np.concatenate(parts, axis=1, dtype=np.float64)
+
+
+def _turns(quat: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Where a quaternion is a rotation when it is made unit."""
+    length = np.linalg.norm(quat.astype(np.float64), axis=-1)
+    return np.isfinite(length) & (length > _TINY)
 
 
 def _first_share(matrix: NDArray[np.float64]) -> float:

@@ -88,3 +88,12 @@ def test_vectors_are_position_rotation_and_joints_of_each_hand():
     vector = grasp_vectors(GraspBatch(one.header, columns))[0]
     assert len(vector) == sum(6 + len(h.joint_names) for h in HANDS)
     np.testing.assert_allclose(vector[:6], [0.1, 0.2, 0.3, 0, 0, 0.3], atol=1e-6)
+
+
+def test_rows_that_are_no_pose_are_left_out():
+    rng = np.random.default_rng(3)
+    good = batch(20, joints=rng.normal(size=(20, len(HANDS), 3, J)))
+    bad = batch(3, joints=rng.normal(size=(3, len(HANDS), 3, J)))
+    for row, wrong in enumerate((0.0, np.nan, np.inf)):
+        bad.hand_quat_wxyz[row, 0, 1] = wrong
+    assert value(good, bad) == value(good)

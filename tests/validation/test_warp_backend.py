@@ -69,10 +69,14 @@ def same_bits(first, second):
 
 
 def agree(found, wanted):
-    """Same status and direction; drifts up to the digits that differ between the engines."""
+    """Same status and direction; drifts up to the digits that differ between the engines.
+
+    What passes may be accepted at another time, so its drift says nothing.
+    """
     assert [v[:3] for v in found] == [v[:3] for v in wanted]
     for a, b in zip(found, wanted, strict=True):
-        np.testing.assert_allclose(a[3:5], b[3:5], atol=FLOAT32)
+        if a.status != Status.OK:
+            np.testing.assert_allclose(a[3:5], b[3:5], atol=FLOAT32)
         np.testing.assert_allclose(a.time, b.time)
 
 
@@ -268,7 +272,7 @@ def test_a_run_has_the_verdicts_of_both_engines_side_by_side(device, tmp_path, c
     assert mark.made_with["device"] == engine.device
     capsys.readouterr()
     assert run([*validate[:-1], "--backend", "mujoco_warp", "--device", device]) == 0
-    assert "of brief-1-warp: all 1 tasks were done before" in capsys.readouterr().out
+    assert "of brief-1-warp: 1 task done before, none open" in capsys.readouterr().out
 
 
 @needs_engine
