@@ -30,6 +30,7 @@ from bidexdata.validation.stages import Grasp, close_hands, set_load
 from bidexdata.validation.validate import TESTS, grasp_of, scene_of_rows
 
 INDEX = Path("../shared/objects/INDEX.csv")
+MESHES = INDEX.parent / "train"
 EVERY = 7
 SIZES = "0.3,0.5,0.8"
 PER_SCENE = 5
@@ -127,7 +128,7 @@ def measure_run(path: Path, test: str, protocol: str = "paper-1") -> dict[str, A
 def _chosen_meshes(target: Path) -> int:
     with INDEX.open() as file:
         names = [row["file"] for row in csv.DictReader(file)][::EVERY]
-    rows = [[str((INDEX.parent / name).resolve())] for name in names]
+    rows = [[str((MESHES / name).resolve())] for name in names]
     with target.open("w", newline="") as file:
         csv.writer(file).writerows([["file"], *rows])
     return len(names)
