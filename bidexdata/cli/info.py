@@ -35,8 +35,8 @@ def info(
     An imported run has the key files too: read, failed, left_out (grasps), failures (file, reason).
 
     --json keys: kind, path and, for a library: fingerprint, inputs, objects, hulls, by_status,
-    failures (source_name, status, reason); a run: fingerprint, hand, preset, setting, rest_poses, without_scene (objects that no
-    scene could be made of), sizes_mm, grasps, candidates, seed, objects, tasks, done (per stage),
+    failures (source_name, status, reason), warnings (source_name, warning); a run: fingerprint,
+    hand, preset, setting, rest_poses, without_scene (objects that no scene could be made of), sizes_mm, grasps, candidates, seed, objects, tasks, done (per stage),
     made_with (per stage: a list of tasks, device, device_name and package versions), figures,
     protocols; a release: name, version, schema_version, default_protocol, tests, splits, hands,
     figures. With --by also: by, groups (per protocol, test and group: rows, objects, selected,
@@ -58,7 +58,8 @@ def _library_lines(data: dict[str, Any]) -> list[str]:
         f"({counts_text(data['by_status'])}; {data['hulls']} replaced by the hull)",
         f"fingerprint {data['fingerprint']}",
     ]
-    return lines + [f"{f['source_name']}: {f['reason']}" for f in data["failures"]]
+    lines += [f"{f['source_name']}: {f['reason']}" for f in data["failures"]]
+    return lines + [f"{w['source_name']}: warning: {w['warning']}" for w in data["warnings"]]
 
 
 def _run_lines(data: dict[str, Any]) -> list[str]:

@@ -46,7 +46,7 @@ def prepare(
     library is the one that a single machine makes.
 
     --json keys: library, inputs, prepared, hulls, resumed, by_status, failures (source_name, status,
-    reason; a duplicate is none), waiting (inputs of other parts that are not done), seconds,
+    reason; a duplicate is none), warnings (source_name, warning), waiting (inputs of other parts that are not done), seconds,
     fingerprint. While some are waiting, the others count this part only.
     """
     from bidexdata.errors import NothingSucceeded
@@ -76,6 +76,12 @@ def prepare(
             f"({counts_text(report.by_status)}; {report.hulls} replaced by the hull) "
             f"in {report.seconds:.1f} s"
         )
+        warned = {w["source_name"] for w in data["warnings"]}
+        if warned:
+            lines.append(
+                f"{counted(len(warned), 'object')} with warnings, which `{command('info', out)}` "
+                "lists: look at them before you go on"
+            )
     if report.waiting:
         lines.append(
             f"part {shard}: {counted(report.waiting, 'input')} of other parts not done yet; "

@@ -105,6 +105,11 @@ def counts_text(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{n} {label}" for label, n in ordered) or "none"
 
 
+def earlier_text(tasks: int) -> str:
+    """Say that the figures before are those of this call only, where earlier ones did tasks too."""
+    return f"; {counted(tasks, 'task')} of earlier calls not counted" if tasks else ""
+
+
 def no_scene_text(object_ids: Sequence[str]) -> str:
     """Say that objects have no rest pose, and name the first."""
     without = counted(len(object_ids), "object has", "objects have")

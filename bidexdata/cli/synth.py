@@ -12,6 +12,7 @@ from bidexdata.cli import options
 from bidexdata.cli.report import (
     command,
     counts_text,
+    earlier_text,
     finish,
     no_scene_text,
     refuse_nothing,
@@ -112,7 +113,7 @@ def synth(
         [
             f"{counted(report.good, 'row')} selected, {counted(report.rows, 'row')} stored "
             f"by {counted(report.finished, 'task')} in {seconds:.1f} s "
-            f"({done} of {counted(report.tasks, 'task')} done)",
+            f"({done} of {counted(report.tasks, 'task')} done){earlier_text(report.before)}",
             f"attempts: {counts_text(report.by_status)}",
             *([no_scene_text(left_out)] if left_out else []),
         ],

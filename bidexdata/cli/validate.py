@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bidexdata.cli import options
-from bidexdata.cli.report import command, counts_text, finish, refuse_nothing, warn_of_failed
+from bidexdata.cli.report import (
+    command,
+    counts_text,
+    earlier_text,
+    finish,
+    refuse_nothing,
+    warn_of_failed,
+)
 from bidexdata.wording import counted
 
 if TYPE_CHECKING:
@@ -197,6 +204,7 @@ def _validate(
             lines.append(
                 f"test {test} of {rules.name}: {report.good} of {counted(report.rows, 'row')} passed "
                 f"({counts_text(report.by_status)}) in {report.seconds:.1f} s"
+                f"{earlier_text(report.before)}"
             )
         warn_of_failed(report, run.path)
     following = command("info", run.path)

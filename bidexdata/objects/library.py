@@ -133,6 +133,16 @@ class Library:
         return folder
 
 
+def warnings_of(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
+    """What a person should know of prepared inputs: source_name and warning, one per warning."""
+    return [
+        {"source_name": str(r["source_name"]), "warning": str(text)}
+        for r in rows
+        if r["status"] == Status.OK
+        for text in r.get("warnings") or ()
+    ]
+
+
 def failures_of(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
     """What `--json` says of index rows without an object: `source_name`, `status`, `reason`.
 

@@ -59,7 +59,9 @@ def outcome_words(test: str, status: Status, direction: int = -1) -> str:
     """
     if status is Status.OK:
         return f"passes test {test}"
-    load = f" (load {DIRECTIONS[direction]})" if 0 <= direction < len(DIRECTIONS) else ""
+    # Hands that touch nothing drop the object under any load: the first one says nothing.
+    says = 0 <= direction < len(DIRECTIONS) and status is not Status.NO_CONTACT
+    load = f" (load {DIRECTIONS[direction]})" if says else ""
     return f"fails test {test}{load}: {status.sentence}"
 
 

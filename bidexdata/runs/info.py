@@ -51,8 +51,8 @@ def describe(path: str | Path, by: str | None = None) -> dict[str, Any]:
 
 
 def describe_library(library: Library) -> dict[str, Any]:
-    """Inputs per status, and the inputs that gave no object."""
-    from bidexdata.objects.library import failures_of
+    """Inputs per status, those that gave no object, and what to know of the others."""
+    from bidexdata.objects.library import failures_of, warnings_of
 
     rows = library.index.to_pylist()
     return {
@@ -64,6 +64,7 @@ def describe_library(library: Library) -> dict[str, Any]:
         "hulls": sum(r["piece_method"] == "hull" for r in rows),
         "by_status": dict(sorted(Counter(Status(r["status"]).label for r in rows).items())),
         "failures": failures_of(rows),
+        "warnings": warnings_of(rows),
     }
 
 

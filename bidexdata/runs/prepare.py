@@ -25,6 +25,7 @@ from bidexdata.objects.library import (
     Library,
     failures_of,
     object_folder,
+    warnings_of,
     write_index,
 )
 from bidexdata.objects.prepare import prepare_object
@@ -93,6 +94,7 @@ class PrepareReport:
             "resumed": self.resumed,
             "by_status": self.by_status,
             "failures": failures_of(self.rows),
+            "warnings": warnings_of(self.rows),
             "waiting": self.waiting,
             "seconds": round(self.seconds, 3),
             "fingerprint": self.fingerprint,

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from bidexdata.cli.figures import LEGEND
 from bidexdata.cli.main import run
-from bidexdata.cli.report import refuse_nothing, warn_of_failed
+from bidexdata.cli.report import earlier_text, refuse_nothing, warn_of_failed
 from bidexdata.errors import NothingSucceeded
 from bidexdata.runs.executors import TaskFailure
+from bidexdata.runs.progress import _duration
 from bidexdata.runs.stage import StageReport
 
 
@@ -70,3 +72,28 @@ def test_prepare_and_info_say_the_same_of_inputs_that_failed(tmp_path, capsys):
     (failed,) = told["failures"]  # the copy is a duplicate, and no failure
     assert set(failed) == {"source_name", "status", "reason"}
     assert told["by_status"][failed["status"]] == told["by_status"]["duplicate"] == 1
+    assert prepared["warnings"] == told["warnings"]
+
+
+def test_warnings_of_a_library_are_counted_and_listed(tmp_path, capsys):
+    open_box = trimesh.creation.box()
+    open_box.update_faces(np.arange(len(open_box.faces)) > 3)
+    open_box.export(tmp_path / "open.obj")
+    words = ["prepare", str(tmp_path / "open.obj"), "--out", str(tmp_path / "lib")]
+    assert run([*words, "--executor", "inline"]) == 0
+    assert "1 object with warnings, which `bidexdata info" in capsys.readouterr().out
+    assert run(["info", str(tmp_path / "lib")]) == 0
+    assert re.search("open.obj: warning: .*remeshed", capsys.readouterr().out)
+
+
+def test_figures_of_one_call_say_what_earlier_calls_did():
+    assert earlier_text(0) == ""
+    assert earlier_text(3) == "; 3 tasks of earlier calls not counted"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(59.7, "1 min 0 s"), (119.8, "2 min 0 s"), (3.2, "3 s"), (7199.0, "1 h 59 min")],
+)
+def test_no_minute_has_sixty_seconds(seconds, text):
+    assert _duration(seconds) == text

@@ -6,7 +6,7 @@ import pytest
 from picture_samples import box_solid, grasps
 from PIL import Image
 
-from bidexdata.pictures.captions import grasp_caption, object_caption, verdict_words
+from bidexdata.pictures.captions import grasp_caption, object_caption, outcome_words, verdict_words
 from bidexdata.pictures.sheet import (
     BAD,
     GOOD,
@@ -144,3 +144,9 @@ def test_an_object_caption_counts_pieces_and_warns():
     assert caption.head == "box0-00000000"
     assert "2 convex pieces" in caption.lines[0]
     assert caption.lines[1] == "a <warning>"
+
+
+def test_a_load_is_named_only_where_it_says_something():
+    assert "(load -x)" in outcome_words("f", Status.SLIP, 1)
+    assert "load" not in outcome_words("f", Status.NO_CONTACT, 1)
+    assert "(load" not in outcome_words("l", Status.SLIP, -1)
