@@ -76,9 +76,9 @@ def test_prepare_and_info_say_the_same_of_inputs_that_failed(tmp_path, capsys):
 
 
 def test_warnings_of_a_library_are_counted_and_listed(tmp_path, capsys):
-    open_box = trimesh.creation.box()
-    open_box.update_faces(np.arange(len(open_box.faces)) > 3)
-    open_box.export(tmp_path / "open.obj")
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    ball.update_faces(ball.triangles_center[:, 2] < 0.5)  # an open bowl
+    ball.export(tmp_path / "open.obj")
     words = ["prepare", str(tmp_path / "open.obj"), "--out", str(tmp_path / "lib")]
     assert run([*words, "--executor", "inline"]) == 0
     assert "1 object with warnings, which `bidexdata info" in capsys.readouterr().out
