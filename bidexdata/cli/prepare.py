@@ -17,7 +17,8 @@ def prepare(
         list[str],
         typer.Argument(
             metavar="SOURCE...",
-            help="Mesh files, folders, globs, list files (.txt, .csv), or shapes[:FAMILY,...].",
+            help="Mesh files, folders, globs, list files (.txt, .csv), shapes[:FAMILY,...], "
+            "dexgraspnet:PATH, bodex:PATH.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="LIBRARY", help="Folder of the library.")],

@@ -114,7 +114,7 @@ def prepare_library(
     """Prepare the objects that the sources name and write the library.
 
     Args:
-        sources: Files, folders, globs, list files, `shapes[:FAMILY]`.
+        sources: As `bidexdata.objects.sources.resolve_sources` takes them.
         out: Folder of the library; complete objects in it are kept.
         config: Every tolerance and bound.
         limit: Only the first so many inputs.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
+from typing import Any
 
 from bidexdata.errors import NotUsable
 from bidexdata.objects.sources.item import SourceItem
@@ -38,7 +39,7 @@ def list_items(path: Path) -> list[SourceItem]:
     ]
 
 
-def side_list(path: Path) -> dict[str, dict[str, str]]:
+def side_list(path: Path) -> dict[str, dict[str, Any]]:
     """Origin of each file that a `.csv` list names, by the name it uses."""
     return {row["file"]: _origin(row) for row in _rows(path)}
 
@@ -53,7 +54,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
     return [row for row in rows if row["file"]]
 
 
-def _origin(row: dict[str, str]) -> dict[str, str]:
+def _origin(row: dict[str, str]) -> dict[str, Any]:
     return {name: row[name] for name in _COLUMNS if row.get(name)}
 
 
