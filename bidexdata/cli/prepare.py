@@ -18,7 +18,7 @@ def prepare(
         typer.Argument(
             metavar="SOURCE...",
             help="Mesh files, folders, globs, list files (.txt, .csv), shapes[:FAMILY,...], "
-            "dexgraspnet:PATH, bodex:PATH.",
+            "dexgraspnet:PATH, bodex:PATH, objaverse:uids=FILE|lvis=CATEGORY|random=N,seed=K.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="LIBRARY", help="Folder of the library.")],

@@ -28,7 +28,7 @@ from bidexdata.objects.library import (
     write_index,
 )
 from bidexdata.objects.prepare import prepare_object
-from bidexdata.objects.sources import SourceItem, resolve_sources
+from bidexdata.objects.sources import SourceItem, fetched, resolve_sources
 from bidexdata.objects.storage import read_document, write_object
 from bidexdata.record.status import Status
 from bidexdata.runs.executors import TaskFailure, check_executor, run_tasks
@@ -134,6 +134,7 @@ def prepare_library(
     start = time.monotonic()
     items = resolve_sources(sources)[: None if limit is None else max(limit, 0)]
     _check_out(out, config)
+    items = fetched(items)
     rows, tasks = _plan(items, out, config)
     mine = take_shard(range(len(items)), shard)
     if dry_run:

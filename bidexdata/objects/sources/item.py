@@ -19,6 +19,8 @@ class SourceItem:
     """The mesh file; None for a built-in shape."""
     shape: str | None = None
     """Name of a built-in shape, `family/number`; None for a file."""
+    uid: str = ""
+    """Identifier in Objaverse; `path` is None until its file has been fetched."""
     source: str = UNKNOWN
     """Collection or address that the object is from."""
     licence: str = UNKNOWN

@@ -28,15 +28,23 @@ def list_items(path: Path) -> list[SourceItem]:
     if path.suffix.lower() == ".csv":
         rows = _rows(path)
     else:
-        lines = (line.split(" #")[0].strip() for line in _text(path).splitlines())
-        rows = [("file", line) for line in lines if line and not line.startswith("#")]
-        rows = [dict([row]) for row in rows]
+        rows = [{"file": line} for line in text_lines(path)]
     if not rows:
         raise NotUsable(f"{path}: the list names no file")
     return [
         SourceItem(source_name=row["file"], path=path.parent / row["file"], **_origin(row))
         for row in rows
     ]
+
+
+def text_lines(path: Path) -> list[str]:
+    """Lines of a text file without `#` comments and empty ones.
+
+    Raises:
+        NotUsable: It is no text.
+    """
+    lines = (line.split(" #")[0].strip() for line in _text(path).splitlines())
+    return [line for line in lines if line and not line.startswith("#")]
 
 
 def side_list(path: Path) -> dict[str, dict[str, Any]]:

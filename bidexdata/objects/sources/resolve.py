@@ -10,10 +10,16 @@ from bidexdata.errors import UnknownName
 from bidexdata.objects.sources.files import file_items, folder_items, glob_items
 from bidexdata.objects.sources.item import SourceItem
 from bidexdata.objects.sources.lists import list_items
+from bidexdata.objects.sources.objaverse import objaverse_items
 from bidexdata.objects.sources.shapes import shape_items
 from bidexdata.objects.sources.trees import bodex_items, dexgraspnet_items
 
-_ADAPTERS = {"shapes": shape_items, "dexgraspnet": dexgraspnet_items, "bodex": bodex_items}
+_ADAPTERS = {
+    "shapes": shape_items,
+    "dexgraspnet": dexgraspnet_items,
+    "bodex": bodex_items,
+    "objaverse": objaverse_items,
+}
 _LISTS = (".txt", ".csv")
 
 
@@ -22,8 +28,8 @@ def resolve_sources(sources: Sequence[str]) -> list[SourceItem]:
 
     A source is a mesh file, a folder (searched recursively), a glob, a list file (`.txt` with a
     path per line; `.csv` with a column `file` and, if present, `source`, `licence`, `author`,
-    `category`), `shapes[:FAMILY,...]`, or a tree of another project, `dexgraspnet:PATH` or
-    `bodex:PATH`. Files of one source come in byte order of their paths;
+    `category`), `shapes[:FAMILY,...]`, a tree of another project, `dexgraspnet:PATH` or
+    `bodex:PATH`, or `objaverse:...`, whose files `fetched` brings. Files of one source come in byte order of their paths;
     a path that two sources name comes once.
 
     Raises:
@@ -32,10 +38,10 @@ def resolve_sources(sources: Sequence[str]) -> list[SourceItem]:
         UnknownName: A prefix or a family of shapes does not exist.
     """
     items: list[SourceItem] = []
-    seen: set[tuple[Path | None, str | None]] = set()
+    seen: set[tuple[Path | None, str | None, str]] = set()
     for source in sources:
         for item in _items_of(source):
-            key = (item.path.resolve() if item.path else None, item.shape)
+            key = (item.path.resolve() if item.path else None, item.shape, item.uid)
             if key not in seen:
                 seen.add(key)
                 items.append(item)

@@ -17,7 +17,8 @@ from bidexdata.objects.sources.files import byte_order, described
 from bidexdata.objects.sources.item import UNKNOWN, SourceItem
 
 UNIT_SPHERE = "unit sphere"
-"""Box centred at the origin, farthest vertex of the surface at 1 (of the pieces at 0.98 or so)."""
+"""Box centred at the origin, farthest vertex of the surface at 1 / 1.03, of its pieces at about 0.98.
+Source: DexGraspNet, asset_process/normalize.py."""
 BOX_DIAGONAL = "box diagonal 2"
 """Box centred at the origin, its diagonal 2 (that of the pieces about 1 % more)."""
 _DECOMPOSED = ("coacd", "decomposed.obj")
@@ -29,7 +30,7 @@ _COLLECTIONS = {
     "mujoco": "Google Scanned Objects",
     "ddg": "Deep Differentiable Grasp",
 }
-"""What the first word of a DexGraspNet name stands for. Source: DexGraspNet, README of the data."""
+"""What the first word of a DexGraspNet name stands for. Source: DexGraspNet, asset_process/README.md."""
 
 
 def dexgraspnet_items(place: str) -> list[SourceItem]:
