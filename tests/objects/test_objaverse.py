@@ -180,6 +180,15 @@ def test_the_category_asked_for_is_the_objects_category(cache):
     assert all(i.path and i.path.is_file() for i in items)
 
 
+def test_real_files_in_the_cache_are_prepared(cache, tmp_path, small, shared):
+    for uid, name in zip(LVIS["mug"], ("duck", "kaykit_bottle"), strict=True):
+        (cache / path_of(uid)).write_bytes((shared / f"objects/train/{name}.glb").read_bytes())
+    options = {"executor": "inline", "quiet": True}
+    report = prepare_library(["objaverse:lvis=mug"], tmp_path / "lib", small, **options)
+    assert (report.prepared, report.hulls) == (2, 0)
+    assert {r["licence"] for r in report.rows} == {"CC-BY-4.0", "CC-BY-NC-SA-4.0"}
+
+
 def test_only_what_the_limit_leaves_is_fetched(cache, tmp_path, small):
     for uid in UIDS:
         if uid != sorted(UIDS)[0]:
