@@ -1,4 +1,4 @@
-"""`bidexdata prepare`: mesh files and built-in shapes become an object library."""
+"""`bidexdata prepare`: meshes, built-in shapes, objects of other projects become an object library."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ def prepare(
         list[str],
         typer.Argument(
             metavar="SOURCE...",
-            help="Mesh files, folders, globs, list files (.txt, .csv), or shapes[:FAMILY,...].",
+            help="Mesh files, folders, globs, list files (.txt, .csv), shapes[:FAMILY,...], "
+            "dexgraspnet:PATH, bodex:PATH, objaverse:uids=FILE|lvis=CATEGORY|random=N,seed=K.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="LIBRARY", help="Folder of the library.")],
@@ -40,6 +41,9 @@ def prepare(
     debug: options.Debug = False,
 ) -> None:
     """Turn mesh files into an object library.
+
+    dexgraspnet: and bodex: keep the convex pieces of these projects' objects; objaverse: downloads
+    what is not in the cache of its package (docs/sources.md).
 
     The same command goes on after a stop. With --shard several machines prepare one folder: give
     each the same inputs and another part; the part that finishes last writes the index, and the

@@ -17,8 +17,11 @@ from bidexdata.objects.sdf import signed_distance_grid
 from bidexdata.objects.surface import surface_points
 from bidexdata.record.status import Status
 
-_SLIVER = 1e-5
-"""Tolerance at which the needles that a union leaves are collapsed; searches are in float32."""
+_SLIVERS = (1e-5, 1e-6)
+"""Tolerances at which the needles that a union leaves are collapsed; searches are in float32."""
+_VOLUME_KEPT = 1e-4
+"""Share of the volume that collapsing may change. Measured on a mug of DexGraspNet, whose 27 pieces
+touch with gaps of about a millionth: at 1e-5 it loses 1.6 %, at 1e-6 a share of 5e-7."""
 
 
 class UnitSolid(NamedTuple):
@@ -137,7 +140,11 @@ def _united(pieces: Sequence[TriangleMesh]) -> TriangleMesh:
     whole = union([p for p in parts if p is not None])
     if whole.is_empty() or whole.volume() <= 0:
         raise PrepareFailure(Status.DECOMPOSITION_FAILED, "the union of the pieces is empty")
-    return as_mesh(whole.simplify(_SLIVER))
+    for tolerance in _SLIVERS:
+        simple = whole.simplify(tolerance)
+        if abs(simple.volume() / whole.volume() - 1) < _VOLUME_KEPT:
+            return as_mesh(simple)
+    return as_mesh(whole)
 
 
 def _fewer_faces(mesh: TriangleMesh, most: int) -> TriangleMesh:

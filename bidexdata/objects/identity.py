@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.sources import SourceItem
@@ -22,25 +22,33 @@ _GENERIC = frozenset(
 
 
 def source_bytes(item: SourceItem) -> bytes:
-    """The bytes that identify an input: of its file, or of the recipe of a shape.
+    """The bytes that identify an input: of its file or files, or of the recipe of a shape.
 
     Raises:
         PrepareFailure: The file does not exist or cannot be read.
     """
     if item.shape is not None:
         return shape_bytes(item.shape)
+    if item.problem:
+        raise PrepareFailure(Status.UNREADABLE, item.problem)
     assert item.path is not None
-    try:
-        return item.path.read_bytes()
-    except OSError as err:
-        reason = err.strerror or type(err).__name__
-        raise PrepareFailure(Status.UNREADABLE, f"{item.path.name}: {reason}") from err
+    if not item.pieces:
+        return _contents(item.path)
+    # The same file prepared without its pieces is another solid: it must have another identity.
+    parts = [b"pieces\n"]
+    for path in (*item.pieces, *(() if item.shown is None else (item.shown,))):
+        data = _contents(path)
+        inside = path.relative_to(item.path).as_posix()
+        parts += [f"{inside} {len(data)}\n".encode(), data]
+    return b"".join(parts)
 
 
 def object_id_of(item: SourceItem, data: bytes) -> str:
     """Slug of the source's own name, `-`, first 8 hex digits of the sha256 of its bytes."""
     if item.shape is not None:
         name = item.shape.replace("/", "_")
+    elif item.pieces:
+        name = PurePath(item.source_name).name
     else:
         assert item.path is not None
         parts = [item.path.stem, *reversed(Path(item.source_name).parent.parts)]
@@ -53,3 +61,11 @@ def named_id(name: str, sha256: str) -> str:
     """Slug of a name, `-`, first 8 hex digits of a hash."""
     slug = re.sub(r"[^a-z0-9_-]+", "-", name.lower()).strip("-")[:48] or "object"
     return f"{slug}-{sha256[:8]}"
+
+
+def _contents(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as err:
+        reason = err.strerror or type(err).__name__
+        raise PrepareFailure(Status.UNREADABLE, f"{path.name}: {reason}") from err

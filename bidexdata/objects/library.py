@@ -40,7 +40,11 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("source_diagonal", "float64", "box diagonal of the source in file units"),
     ("repair", "string", "how the mesh was closed"),
     ("hausdorff", "float64", "repaired mesh to source, fraction of the diagonal"),
-    ("piece_method", "string", "convex, coacd, coacd_turned, coacd_second or hull"),
+    (
+        "piece_method",
+        "string",
+        "convex, coacd, coacd_turned, coacd_second, hull or given (by the source)",
+    ),
     ("pieces", "int64", "number of convex pieces"),
     ("volume", "float64", "volume of the solid at unit diagonal"),
     ("volume_ratio", "float64", "solid to repaired mesh"),

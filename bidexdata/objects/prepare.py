@@ -1,6 +1,6 @@
 """prepare_object: one mesh becomes the solid that every later stage sees.
 
-Read, repair, split into convex pieces; then everything is computed on the union of the pieces:
+Read, repair, split into convex pieces, or take the pieces that the source gives; then everything is computed on the union of the pieces:
 mass, frame (origin at the centre of mass, unit box diagonal), surface points, signed distances,
 hull, rest poses.
 """
@@ -18,6 +18,7 @@ from bidexdata.objects.assemble import UnitSolid, assembled, unit_solid
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.convex import Decomposition, decompose
 from bidexdata.objects.deviation import hausdorff
+from bidexdata.objects.given import GivenPieces, given_pieces
 from bidexdata.objects.identity import object_id_of, source_bytes
 from bidexdata.objects.loading import LoadedMesh, load_mesh, unit_mesh
 from bidexdata.objects.physics import mass_properties
@@ -54,7 +55,15 @@ def prepare_object(
     """
     config = config or PrepareConfig()
     item, data = _item_and_bytes(source)
-    if isinstance(source, TriangleMesh):
+    doubts: tuple[str, ...] = ()
+    if item.pieces:
+        given = given_pieces(item, config.load)
+        if not given.not_convex:
+            return _of_given(item, data, given, config)
+        count = f"{given.not_convex} of {len(given.pieces)} given pieces"
+        doubts = (f"{count} are not convex: decomposed anew",)
+        loaded = unit_mesh(given.shown or given.whole, config.load)
+    elif isinstance(source, TriangleMesh):
         loaded = unit_mesh(source, config.load)
     elif item.shape is not None:
         loaded = unit_mesh(shape_mesh(item.shape), config.load, metres_per_unit=1.0)
@@ -65,6 +74,7 @@ def prepare_object(
     split = decompose(repaired.mesh, config.convex)
     solid = unit_solid(split.pieces)
     provenance = _provenance(item, data, loaded, repaired, split, solid, config)
+    provenance["warnings"] = [*doubts, *provenance["warnings"]]
     return assembled(object_id_of(item, data), solid, repaired.mesh, provenance, config)
 
 
@@ -99,13 +109,7 @@ def _provenance(
     moved = TriangleMesh(solid.mesh.vertices * solid.diagonal + solid.centre, solid.mesh.faces)
     metres = loaded.metres_per_unit
     return {
-        "source_name": item.source_name,
-        "source": item.source,
-        "licence": item.licence,
-        "author": item.author,
-        "category": item.category,
-        "source_sha256": hashlib.sha256(data).hexdigest(),
-        "source_bytes": len(data),
+        **_origin(item, data),
         "source_faces": len(loaded.mesh.faces),
         "source_diagonal": loaded.diagonal,
         "source_metres_per_unit": metres,
@@ -120,6 +124,44 @@ def _provenance(
         "solid_hausdorff": hausdorff(moved, repaired.mesh, samples),
         "warnings": [*loaded.warnings, *repaired.warnings, *split.warnings],
     }
+
+
+def _of_given(
+    item: SourceItem, data: bytes, given: GivenPieces, config: PrepareConfig
+) -> PreparedObject:
+    """Assemble an object of the pieces that its source gives, as they are."""
+    solid = unit_solid(given.pieces)
+    union = TriangleMesh(solid.mesh.vertices * solid.diagonal + solid.centre, solid.mesh.faces)
+    provenance = {
+        **_origin(item, data),
+        "source_faces": len(given.whole.faces),
+        "source_diagonal": float(np.linalg.norm(np.ptp(given.whole.vertices, axis=0))),
+        "source_radius": given.radius,
+        "source_metres_per_unit": None,
+        "origin_in_file": [float(x) for x in solid.centre],
+        "unit_in_file": solid.diagonal,
+        "repair": "none",
+        "piece_method": "given",
+        "pieces": len(solid.pieces),
+        "warnings": list(given.warnings),
+    }
+    return assembled(object_id_of(item, data), solid, given.shown or union, provenance, config)
+
+
+def _origin(item: SourceItem, data: bytes) -> dict[str, Any]:
+    """Where an object is from."""
+    known = {
+        "source_name": item.source_name,
+        "source": item.source,
+        "licence": item.licence,
+        "author": item.author,
+        "category": item.category,
+        "source_sha256": hashlib.sha256(data).hexdigest(),
+        "source_bytes": len(data),
+    }
+    if item.normalisation:
+        known["source_normalisation"] = item.normalisation
+    return known
 
 
 def _item_and_bytes(source: str | Path | TriangleMesh | SourceItem) -> tuple[SourceItem, bytes]:

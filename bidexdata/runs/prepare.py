@@ -29,7 +29,7 @@ from bidexdata.objects.library import (
     write_index,
 )
 from bidexdata.objects.prepare import prepare_object
-from bidexdata.objects.sources import SourceItem, resolve_sources
+from bidexdata.objects.sources import SourceItem, fetched, resolve_sources
 from bidexdata.objects.storage import read_document, write_object
 from bidexdata.record.status import Status
 from bidexdata.runs.executors import TaskFailure, check_executor, run_tasks
@@ -116,7 +116,7 @@ def prepare_library(
     """Prepare the objects that the sources name and write the library.
 
     Args:
-        sources: Files, folders, globs, list files, `shapes[:FAMILY]`.
+        sources: As `bidexdata.objects.sources.resolve_sources` takes them.
         out: Folder of the library; complete objects in it are kept.
         config: Every tolerance and bound.
         limit: Only the first so many inputs.
@@ -136,6 +136,7 @@ def prepare_library(
     start = time.monotonic()
     items = resolve_sources(sources)[: None if limit is None else max(limit, 0)]
     _check_out(out, config)
+    items = fetched(items)
     rows, tasks = _plan(items, out, config)
     mine = take_shard(range(len(items)), shard)
     if dry_run:

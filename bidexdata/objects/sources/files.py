@@ -5,7 +5,8 @@ from __future__ import annotations
 import glob
 import os
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from typing import Any
 
 from bidexdata.errors import PathNotFound
 from bidexdata.objects.loading import SUFFIXES
@@ -21,7 +22,7 @@ def file_items(path: Path) -> list[SourceItem]:
     """
     if not path.is_file():
         raise PathNotFound(path, f"a mesh file ({', '.join(SUFFIXES)}), a folder, a glob or a list")
-    return _described([SourceItem(source_name=path.name, path=path)], path.parent)
+    return described([SourceItem(source_name=path.name, path=path)], path.parent)
 
 
 def folder_items(folder: Path) -> list[SourceItem]:
@@ -39,7 +40,7 @@ def folder_items(folder: Path) -> list[SourceItem]:
     if not found:
         raise PathNotFound(folder, f"mesh files in it ({', '.join(SUFFIXES)})")
     items = [SourceItem(source_name=p.relative_to(folder).as_posix(), path=p) for p in found]
-    return _described(sorted(items, key=_byte_order), folder)
+    return described(sorted(items, key=byte_order), folder)
 
 
 def glob_items(pattern: str) -> list[SourceItem]:
@@ -53,11 +54,11 @@ def glob_items(pattern: str) -> list[SourceItem]:
     if not found:
         raise PathNotFound(pattern, f"matching mesh files ({', '.join(SUFFIXES)})")
     items = [SourceItem(source_name=p.as_posix(), path=p) for p in found]
-    items.sort(key=_byte_order)
-    return [_described([item], item.path.parent)[0] for item in items if item.path]
+    items.sort(key=byte_order)
+    return [described([item], item.path.parent)[0] for item in items if item.path]
 
 
-def _described(items: list[SourceItem], folder: Path) -> list[SourceItem]:
+def described(items: list[SourceItem], folder: Path) -> list[SourceItem]:
     """Add what an `INDEX.csv` in the folder or beside it says of the files."""
     for place in (folder, folder.resolve().parent):
         if (place / SIDE_LIST).is_file():
@@ -66,10 +67,11 @@ def _described(items: list[SourceItem], folder: Path) -> list[SourceItem]:
     return items
 
 
-def _with_origin(item: SourceItem, known: dict[str, dict[str, str]], place: Path) -> SourceItem:
+def _with_origin(item: SourceItem, known: dict[str, dict[str, Any]], place: Path) -> SourceItem:
     assert item.path is not None
     inside = os.path.relpath(item.path.resolve(), place.resolve())
-    names = (Path(inside).as_posix(), item.source_name, item.path.name)
+    own = PurePosixPath(item.source_name).name
+    names = (Path(inside).as_posix(), item.source_name, item.path.name, own)
     row = next((known[name] for name in names if name in known), None)
     return replace(item, **row) if row else item
 
@@ -79,5 +81,6 @@ def _is_mesh(name: str) -> bool:
     return base.lower().endswith(SUFFIXES) and not base.startswith(".")
 
 
-def _byte_order(item: SourceItem) -> bytes:
+def byte_order(item: SourceItem) -> bytes:
+    """The key that sorts inputs by the bytes of their names."""
     return os.fsencode(item.source_name)

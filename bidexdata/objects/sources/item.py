@@ -11,7 +11,7 @@ UNKNOWN = "unknown"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourceItem:
-    """One mesh file or one built-in shape, and what is known of its origin."""
+    """One mesh file, object folder or built-in shape, and what is known of its origin."""
 
     source_name: str
     """The original name: the path relative to the named folder, or `shapes:box/2`."""
@@ -19,9 +19,20 @@ class SourceItem:
     """The mesh file; None for a built-in shape."""
     shape: str | None = None
     """Name of a built-in shape, `family/number`; None for a file."""
+    uid: str = ""
+    """Identifier in Objaverse; `path` is None until its file has been fetched."""
     source: str = UNKNOWN
     """Collection or address that the object is from."""
     licence: str = UNKNOWN
     """SPDX identifier where one exists."""
     author: str = UNKNOWN
     category: str = UNKNOWN
+    pieces: tuple[Path, ...] = ()
+    """Files whose groups are the object's convex pieces, where the source gives them; `path` is
+    then the object's folder or the one file."""
+    shown: Path | None = None
+    """Mesh file to show of an object with given pieces; None: their union."""
+    normalisation: str = ""
+    """How the source scaled and placed the object, a word of docs/sources.md; empty: not said."""
+    problem: str = ""
+    """Why the input cannot be read, where listing it told; it becomes a report row."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
+from typing import Any
 
 from bidexdata.errors import NotUsable
 from bidexdata.objects.sources.item import SourceItem
@@ -27,9 +28,7 @@ def list_items(path: Path) -> list[SourceItem]:
     if path.suffix.lower() == ".csv":
         rows = _rows(path)
     else:
-        lines = (line.split(" #")[0].strip() for line in _text(path).splitlines())
-        rows = [("file", line) for line in lines if line and not line.startswith("#")]
-        rows = [dict([row]) for row in rows]
+        rows = [{"file": line} for line in text_lines(path)]
     if not rows:
         raise NotUsable(f"{path}: the list names no file")
     return [
@@ -38,7 +37,17 @@ def list_items(path: Path) -> list[SourceItem]:
     ]
 
 
-def side_list(path: Path) -> dict[str, dict[str, str]]:
+def text_lines(path: Path) -> list[str]:
+    """Lines of a text file without `#` comments and empty ones.
+
+    Raises:
+        NotUsable: It is no text.
+    """
+    lines = (line.split(" #")[0].strip() for line in _text(path).splitlines())
+    return [line for line in lines if line and not line.startswith("#")]
+
+
+def side_list(path: Path) -> dict[str, dict[str, Any]]:
     """Origin of each file that a `.csv` list names, by the name it uses."""
     return {row["file"]: _origin(row) for row in _rows(path)}
 
@@ -53,7 +62,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
     return [row for row in rows if row["file"]]
 
 
-def _origin(row: dict[str, str]) -> dict[str, str]:
+def _origin(row: dict[str, str]) -> dict[str, Any]:
     return {name: row[name] for name in _COLUMNS if row.get(name)}
 
 

@@ -10,9 +10,16 @@ from bidexdata.errors import UnknownName
 from bidexdata.objects.sources.files import file_items, folder_items, glob_items
 from bidexdata.objects.sources.item import SourceItem
 from bidexdata.objects.sources.lists import list_items
+from bidexdata.objects.sources.objaverse import objaverse_items
 from bidexdata.objects.sources.shapes import shape_items
+from bidexdata.objects.sources.trees import bodex_items, dexgraspnet_items
 
-_ADAPTERS = {"shapes": shape_items}
+_ADAPTERS = {
+    "shapes": shape_items,
+    "dexgraspnet": dexgraspnet_items,
+    "bodex": bodex_items,
+    "objaverse": objaverse_items,
+}
 _LISTS = (".txt", ".csv")
 
 
@@ -21,18 +28,20 @@ def resolve_sources(sources: Sequence[str]) -> list[SourceItem]:
 
     A source is a mesh file, a folder (searched recursively), a glob, a list file (`.txt` with a
     path per line; `.csv` with a column `file` and, if present, `source`, `licence`, `author`,
-    `category`), or `shapes[:FAMILY,...]`. Files of one source come in byte order of their paths;
+    `category`), `shapes[:FAMILY,...]`, a tree of another project, `dexgraspnet:PATH` or
+    `bodex:PATH`, or `objaverse:...`, whose files `fetched` brings. Files of one source come in byte order of their paths;
     a path that two sources name comes once.
 
     Raises:
         PathNotFound: A path does not exist, or a glob or folder holds no mesh file.
+        NotUsable: A tree holds no object of its project, or a list cannot be read.
         UnknownName: A prefix or a family of shapes does not exist.
     """
     items: list[SourceItem] = []
-    seen: set[tuple[Path | None, str | None]] = set()
+    seen: set[tuple[Path | None, str | None, str]] = set()
     for source in sources:
         for item in _items_of(source):
-            key = (item.path.resolve() if item.path else None, item.shape)
+            key = (item.path.resolve() if item.path else None, item.shape, item.uid)
             if key not in seen:
                 seen.add(key)
                 items.append(item)
@@ -52,5 +61,5 @@ def _items_of(source: str) -> list[SourceItem]:
         return glob_items(source)
     # One letter before the colon is a drive, not an adapter.
     if colon and prefix.isalnum() and len(prefix) > 1:
-        raise UnknownName("source", prefix, _ADAPTERS, "write a path, a glob or shapes[:FAMILY]")
+        raise UnknownName("source", prefix, _ADAPTERS, "or write a path or a glob")
     return file_items(path)
