@@ -18,6 +18,7 @@ setup: $(STAMP) $(TOOLS) ## make .venv and install everything; a no-op the secon
 # torch comes first and alone: asked for together with other packages, pip may choose a build
 # that brings gigabytes of CUDA libraries.
 $(STAMP): pyproject.toml constraints.txt
+	@echo "installing into $(VENV), one to two minutes"
 	$(PYTHON) -m venv $(VENV)
 	$(INSTALL) torch==2.13.0
 	$(INSTALL) --constraint constraints.txt --editable '.[all]'
@@ -26,6 +27,7 @@ $(STAMP): pyproject.toml constraints.txt
 $(TOOLS): $(STAMP)
 	$(INSTALL) --constraint constraints.txt --editable '.[all,dev]'
 	@touch $(TOOLS)
+	@echo "source $(BIN)/activate puts bidexdata on the path"
 
 demo: $(STAMP) ## the whole pipeline on built-in objects with the built-in hand, into demo/
 	$(BIN)/bidexdata demo --out demo
