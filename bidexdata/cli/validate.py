@@ -47,7 +47,7 @@ def validate(
     ] = False,
     plain: Annotated[
         bool,
-        typer.Option("--plain", help="Hold every load to its end (about seven times slower)."),
+        typer.Option("--plain", help="Hold every load to its end (several times slower)."),
     ] = False,
     replay: Annotated[
         str | None,

@@ -45,7 +45,6 @@ def force_closure(
         return closing_failure(protocol, status, moved, turned)
     touched = touches_object(scene)
     closed = saved_state(scene)
-
     grip = probe(scene, protocol, execution.rest) if execution.early_stop else Grip.LOOSE
 
     def loaded(multiple: float, watch: Watch | None = None) -> tuple[int, Phase]:

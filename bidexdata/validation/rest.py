@@ -5,8 +5,8 @@ go after two seconds alike. Friction can: with half of it the latter lose the ob
 former hardly move. So each grasp is probed once, and the looser it is the longer it is watched.
 
 Source:
-    docs/measurements.md, 8, for the form of the rule; the probe and all numbers are ours, from
-    plain runs of 595 grasps: `python -m benchmarks.truth RUN` compares the verdicts with such runs.
+    docs/measurements.md, 8, for the form of the rule; the probe and all numbers are ours, chosen on
+    loads held to their end: `python -m benchmarks.truth RUN` compares the verdicts with such runs.
 """
 
 from __future__ import annotations
