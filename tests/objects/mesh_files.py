@@ -22,3 +22,14 @@ def write_obj(path: Path, mesh: TriangleMesh) -> Path:
     lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh.faces.tolist()]
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+def mixed_folder(folder: Path, mesh: TriangleMesh) -> Path:
+    """A good file, the same bytes again, points without faces, half an STL, and a good one again."""
+    folder.mkdir()
+    good = write_stl(folder / "a_box.stl", mesh)
+    (folder / "b_copy.stl").write_bytes(good.read_bytes())
+    (folder / "c_points.obj").write_text("v 0 0 0\nv 1 0 0\n")
+    (folder / "d_half.stl").write_bytes(good.read_bytes()[:300])
+    write_obj(folder / "e_box.obj", mesh)
+    return folder

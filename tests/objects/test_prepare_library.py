@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from mesh_files import write_obj, write_stl
+from mesh_files import mixed_folder
 
 from bidexdata.errors import ConfigConflict, NotUsable
 from bidexdata.objects.config import LimitsConfig, PrepareConfig, SdfConfig
@@ -22,14 +22,7 @@ from bidexdata.runs.prepare import PrepareReport, prepare_library
 @pytest.fixture
 def meshes(tmp_path: Path, box) -> Path:
     """A good box, the same bytes again, points without faces, and half an STL."""
-    folder = tmp_path / "meshes"
-    folder.mkdir()
-    good = write_stl(folder / "a_box.stl", box)
-    (folder / "b_copy.stl").write_bytes(good.read_bytes())
-    (folder / "c_points.obj").write_text("v 0 0 0\nv 1 0 0\n")
-    (folder / "d_half.stl").write_bytes(good.read_bytes()[:300])
-    write_obj(folder / "e_box.obj", box)
-    return folder
+    return mixed_folder(tmp_path / "meshes", box)
 
 
 def run(sources, out: Path, config: PrepareConfig, **options) -> PrepareReport:

@@ -10,7 +10,7 @@ from itertools import permutations
 from pathlib import Path
 
 import pytest
-from mesh_files import write_obj, write_stl
+from mesh_files import mixed_folder
 
 from bidexdata.errors import Contradiction, NotUsable
 from bidexdata.kinds import kind_of
@@ -23,13 +23,7 @@ from bidexdata.runs.prepare import PrepareReport, prepare_library
 @pytest.fixture
 def meshes(tmp_path: Path, box) -> Path:
     """Good, the same bytes again, failures of several kinds, good again."""
-    folder = tmp_path / "meshes"
-    folder.mkdir()
-    good = write_stl(folder / "a_box.stl", box)
-    (folder / "b_copy.stl").write_bytes(good.read_bytes())
-    (folder / "c_points.obj").write_text("v 0 0 0\nv 1 0 0\n")
-    (folder / "d_half.stl").write_bytes(good.read_bytes()[:300])
-    write_obj(folder / "e_box.obj", box)
+    folder = mixed_folder(tmp_path / "meshes", box)
     (folder / "f_empty.ply").touch()
     return folder
 
