@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
@@ -64,25 +64,28 @@ def missing() -> str:
     return "" if wp.is_cuda_available() else "this machine has no GPU"
 
 
-def measure(device: str = "cuda:0", amounts: Amounts | None = None) -> dict[str, Any]:
-    """Compile first, outside every figure; then agreement, verdicts and grasps a second."""
-    amounts = amounts or Amounts()
+def measure() -> dict[str, Any]:
+    """All figures of the first GPU."""
+    return {key: value for part in parts("cuda:0", Amounts()) for key, value in part.items()}
+
+
+def parts(device: str, amounts: Amounts) -> Iterator[dict[str, Any]]:
+    """Figures as they come. Compile first, outside every figure; then agreement, verdicts and grasps a second."""
     first = time.perf_counter()
-    family = amounts.families[0]
-    few = _sample(family, amounts.middle, 2)
+    few = _sample(amounts.families[0], amounts.middle, 2)
     judged = on_backend(load_protocol("paper-1"), "mujoco_warp", device)
-    _validate(family, few, device)
-    return {
+    _validate(amounts.families[0], few, device)
+    yield {
         "device": _name(device),
         "engine": to_plain(judged.engine),
-        "first_call_seconds": time.perf_counter() - first,
-        **_agreement(amounts, device),
-        "verdicts_per_second": _verdict_rates(amounts, device),
-        "optimiser": _optimiser(amounts, device),
-        "synthesis": _synthesis(amounts, device),
         "protocol": fingerprint(judged),
         "config": fingerprint(SynthConfig()),
+        "first_call_seconds": time.perf_counter() - first,
     }
+    yield _agreement(amounts, device)
+    yield {"verdicts_per_second": _verdict_rates(amounts, device)}
+    yield {"optimiser": _optimiser(amounts, device)}
+    yield {"synthesis": _synthesis(amounts, device)}
 
 
 def _agreement(amounts: Amounts, device: str) -> dict[str, Any]:
@@ -228,10 +231,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--small", action="store_true", help="a few grasps, to try the script")
     asked = parser.parse_args(arguments)
     try:
-        figures = measure(asked.device, SMALL if asked.small else None)
+        figures: dict[str, Any] = {}
+        for part in parts(asked.device, SMALL if asked.small else Amounts()):
+            figures |= part
+            report("gpu-small" if asked.small else "gpu", part, whole=figures)
     except NotUsable as err:
         parser.exit(3, f"error: {err}\n")
-    report("gpu-small" if asked.small else "gpu", figures)
     return 0
 
 

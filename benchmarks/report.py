@@ -12,11 +12,11 @@ from benchmarks.machine import describe_machine
 RESULTS = Path(__file__).parent / "results"
 
 
-def report(name: str, figures: Mapping[str, Any]) -> None:
-    """Print a line per figure and write `results/NAME.json`."""
+def report(name: str, figures: Mapping[str, Any], whole: Mapping[str, Any] | None = None) -> None:
+    """Print a line per figure and write `results/NAME.json`: `whole` so far, if that is more."""
     for key, value in figures.items():
         shown = f"{value:.4g}" if isinstance(value, float) else value
         print(f"{name:>12}  {key}: {shown}", flush=True)
     RESULTS.mkdir(exist_ok=True)
-    target = RESULTS / f"{name}.json"
-    target.write_text(json.dumps({"machine": describe_machine(), **figures}, indent=2) + "\n")
+    saved = {"machine": describe_machine(), **(whole or figures)}
+    (RESULTS / f"{name}.json").write_text(json.dumps(saved, indent=2) + "\n")

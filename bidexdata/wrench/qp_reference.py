@@ -188,7 +188,7 @@ def _solve_pyramids(
     cones = sum(len(a) for a in angles)
     rows = sparse.vstack(
         [
-            sparse.block_diag(blocks),
+            sparse.block_diag([sparse.csc_matrix(block) for block in blocks]),
             sparse.kron(sparse.identity(count), [[1.0, 0.0, 0.0]]),
             sparse.csc_matrix(presses),
             sparse.csc_matrix(G),

@@ -17,6 +17,17 @@ RADIUS = 0.3  # of the unit-size ball
 rng = np.random.default_rng(8)
 
 
+wp.config.log_level = wp.LOG_WARNING
+wp.init()
+
+
+@pytest.fixture(autouse=True, params=[d.alias for d in wp.get_devices()])
+def device(request):
+    """Every law on every device; arrays and launches must not meet on two."""
+    with wp.ScopedDevice(request.param):
+        yield request.param
+
+
 def ball_grid(cells=64, radius=RADIUS):
     """Exact distances of a ball around the origin, unit diagonal."""
     axis = np.linspace(-0.6, 0.6, cells + 1)
@@ -46,7 +57,11 @@ def assert_gradient(f, gradient, x):
 
 
 def launch(kernel, dim, inputs, outputs):
-    wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device="cpu")
+    wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs)
+
+
+def field_of(grid):
+    return device_field(grid, str(wp.get_device()))
 
 
 def vectors(x):
@@ -198,7 +213,7 @@ def test_field_kernels_equal_the_reference(count):
     x[:, -3:] *= 1.6  # beyond the grid
     d, g = poison((count, 33)), poison((count, 33), wp.vec3)
     p, n = poison((count, 33), wp.vec3), poison((count, 33), wp.vec3)
-    field = device_field(grid)
+    field = field_of(grid)
     launch(k.closest_surface, (count, 33), [field, floats(size), 0.008, vectors(x)], [d, g, p, n])
     reference = [signed_distance(grid, s, row) for s, row in zip(size, x, strict=True)]
     assert_close(d, [r[0] for r in reference])
@@ -233,7 +248,7 @@ def test_surface_chain_turns_normals_as_a_ball_does():
     gp, gn = rng.standard_normal((2, 4, 10, 3))
     start = rng.standard_normal((4, 10, 3))
     out = vectors(start)
-    args = [device_field(grid), floats(np.full(4, SIZE)), 0.008, vectors(p), vectors(-unit)]
+    args = [field_of(grid), floats(np.full(4, SIZE)), 0.008, vectors(p), vectors(-unit)]
     launch(k.surface_chain, (4, 10), [*args, vectors(gp), vectors(gn)], [out])
 
     def tangential(v):
@@ -264,7 +279,7 @@ def test_the_region_gradient_on_a_ball_is_the_central_difference():
     d, e = poison(shape), poison(shape)
     slope, p, n = (poison(shape, wp.vec3) for _ in range(3))
     g, gn = (vectors(np.zeros((*shape, 3))) for _ in range(2))
-    on = [device_field(ball_grid(cells=96)), floats(np.full(8, SIZE)), 0.008]
+    on = [field_of(ball_grid(cells=96)), floats(np.full(8, SIZE)), 0.008]
     launch(k.closest_surface, shape, [*on, vectors(centres)], [d, slope, p, n])
     args = [wp.zeros(5, dtype=int), floats(r), 1.0, a, vectors(region), vectors(centres), n]
     launch(contact_region, shape, args, [e, g, gn])
@@ -286,7 +301,7 @@ def test_surface_chain_on_a_plane_is_the_tangential_projection():
     gp, gn = rng.standard_normal((2, 3, 5, 3))
     out = vectors(np.zeros((3, 5, 3)))
     inward = vectors(np.broadcast_to([-1.0, 0, 0], (3, 5, 3)))
-    args = [device_field(slab_grid()), floats(np.ones(3)), 0.008, vectors(p), inward]
+    args = [field_of(slab_grid()), floats(np.ones(3)), 0.008, vectors(p), inward]
     launch(k.surface_chain, (3, 5), [*args, vectors(gp), vectors(gn)], [out])
     np.testing.assert_allclose(out.numpy(), gp * [0, 1, 1], atol=1e-3)
 
@@ -343,7 +358,7 @@ def test_sphere_kernels_equal_the_reference():
     radius = rng.uniform(0.005, 0.02, K)
     e, out = poison((N, K)), poison((N, K), wp.vec3)
     measured = wp.zeros((N, K), dtype=wp.vec4)
-    args = [floats(radius), device_field(grid), floats(size), 3.0, 0.001, vectors(x)]
+    args = [floats(radius), field_of(grid), floats(size), 3.0, 0.001, vectors(x)]
     launch(k.sphere_object, (N, K), args, [measured, e, out])
     terms = [
         energies.sphere_object_energy(*signed_distance(grid, s, row), radius, 0.001)
@@ -423,7 +438,7 @@ def test_remembering_clearances_changes_no_energy():
         results = []
         for measured in (memory, wp.zeros((N, K), dtype=wp.vec4)):
             e, out = poison((N, K)), poison((N, K), wp.vec3)
-            args = [radius, device_field(grid), size, 3.0, 0.001, vectors(x)]
+            args = [radius, field_of(grid), size, 3.0, 0.001, vectors(x)]
             launch(k.sphere_object, (N, K), args, [measured, e, out])
             results.append((e.numpy().copy(), out.numpy().copy()))
         assert np.array_equal(results[0][0], results[1][0])
