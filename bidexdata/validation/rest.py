@@ -2,7 +2,8 @@
 
 Motion alone cannot tell. Grips creep at about 1 mm/s, those that hold for ever and those that let
 go after two seconds alike. Friction can: with half of it the latter lose the object at once, the
-former hardly move. So each grasp is probed once, and the looser it is the longer it is watched.
+former hardly move, or soon come to rest elsewhere. So each grasp is probed once, and the looser it
+is the longer it is watched.
 
 Source:
     docs/measurements.md, 8, for the form of the rule; the probe and all numbers are ours, chosen on
@@ -26,8 +27,24 @@ from .protocols import Protocol
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Slow:
+    """A load may end when the object is this slow, and would stay near by going on as it does."""
+
+    speed: float
+    """Of the centre of mass [m/s]."""
+    turn: float
+    """Rate of turning [rad/s]."""
+    times: float
+    """Going on for this multiple of the time that is left [-] ..."""
+    share: float
+    """... keeps the object within this share of both limits [-]."""
+    at_most: float | None = None
+    """No longer than this counts as time that is left [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RestRules:
-    """Numbers of the probe and of the two rules."""
+    """Numbers of the probe and of the rules."""
 
     start: float = 0.06
     """Time under the load at which it may first end [s]."""
@@ -43,6 +60,12 @@ class RestRules:
     """... turns less than this [rad] ..."""
     firm_end: float = 0.008
     """... and ends slower than this [m/s]."""
+    settled_moved: float = 0.015
+    """A grasp that settles moves less than this [m] ..."""
+    settled_turned: float = math.radians(10.0)
+    """... turns less than this [rad] ..."""
+    settled_end: float = 0.002
+    """... and ends slower than this [m/s]."""
     loose_friction: float = 2 / 3
     """Share of the sliding friction that the second probe leaves [-]."""
     loose_time: float = 0.1
@@ -50,30 +73,22 @@ class RestRules:
     loose_moved: float = 0.008
     """A loose grasp moves more than this in both probes [m]; its loads run to their end."""
 
-    firm_speed: float = 0.01
-    """A load on a firm grasp may end below this speed [m/s] ..."""
-    firm_turn: float = 0.05
-    """... and this rate of turning [rad/s] ..."""
-    firm_ahead: float = 0.5
-    """... if the object kept within the share below by going on at both for so long [s]."""
-    firm_share: float = 0.6
-    """Of both limits [-]."""
-
-    fair_speed: float = 0.0007
-    """On any other grasp it may end below this speed [m/s] ..."""
-    fair_turn: float = 0.005
-    """... and this rate of turning [rad/s] ..."""
-    fair_ahead: float = 2.0
-    """... if the object kept within the share below by going on at both for this multiple of the
-    time that is left [-]."""
-    fair_share: float = 0.8
-    """Of both limits [-]."""
+    firm: tuple[Slow, ...] = (
+        Slow(speed=0.012, turn=0.06, times=1.0, share=0.6, at_most=0.5),
+        Slow(speed=0.0007, turn=0.005, times=2.0, share=0.9),
+    )
+    """Any of these ends a load on a firm grasp."""
+    settled: tuple[Slow, ...] = (Slow(speed=0.003, turn=0.02, times=2.0, share=0.9),)
+    """... on one that settles."""
+    fair: tuple[Slow, ...] = (Slow(speed=0.0007, turn=0.005, times=2.0, share=0.8),)
+    """... on any other that is not loose."""
 
 
 class Grip(Enum):
     """How a grasp took less friction."""
 
     FIRM = "firm"
+    SETTLED = "settled"
     FAIR = "fair"
     LOOSE = "loose"
 
@@ -85,6 +100,8 @@ def probe(scene: SimScene, protocol: Protocol, rules: RestRules) -> Grip:
     )
     if moved < rules.firm_moved and turned < rules.firm_turned and speed < rules.firm_end:
         return Grip.FIRM
+    if moved < rules.settled_moved and turned < rules.settled_turned and speed < rules.settled_end:
+        return Grip.SETTLED
     if moved < rules.loose_moved:
         return Grip.FAIR
     moved, *_ = _with_friction(scene, protocol, rules, rules.loose_friction, rules.loose_time)
@@ -137,18 +154,15 @@ def rests(
         turned: Rotation at present [rad].
         left: Time until the end of the load [s].
     """
-    if grip is Grip.LOOSE:
-        return False
     linear, angular = object_speed(scene)
-
-    def stays(speed: float, turn: float, ahead: float, share: float) -> bool:
-        return (
-            linear < speed
-            and angular < turn
-            and moved + ahead * linear < share * protocol.limit_pos
-            and turned + ahead * angular < share * protocol.limit_rot
-        )
-
-    fair = (rules.fair_speed, rules.fair_turn, rules.fair_ahead * left, rules.fair_share)
-    firm = (rules.firm_speed, rules.firm_turn, min(rules.firm_ahead, left), rules.firm_share)
-    return stays(*fair) or (grip is Grip.FIRM and stays(*firm))
+    rows = {Grip.FIRM: rules.firm, Grip.SETTLED: rules.settled, Grip.FAIR: rules.fair}
+    for slow in rows.get(grip, ()):
+        ahead = slow.times * (left if slow.at_most is None else min(left, slow.at_most))
+        if (
+            linear < slow.speed
+            and angular < slow.turn
+            and moved + ahead * linear < slow.share * protocol.limit_pos
+            and turned + ahead * angular < slow.share * protocol.limit_rot
+        ):
+            return True
+    return False

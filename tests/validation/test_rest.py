@@ -74,11 +74,12 @@ def test_a_load_ends_only_for_objects_that_are_slow_and_near(hands, grip):
         return rests(scene, PAPER, RULES, grip, moved=moved, turned=turned, left=left)
 
     assert ends() is (grip is not Grip.LOOSE)
+    assert ends(speed=0.002) is (grip in {Grip.FIRM, Grip.SETTLED})
     assert ends(speed=0.005) is (grip is Grip.FIRM)
     assert not ends(speed=0.02)
     assert not ends(turn=0.1)
-    assert not ends(moved=0.9 * PAPER.limit_pos)
-    assert not ends(turned=0.9 * PAPER.limit_rot)
+    assert not ends(moved=0.95 * PAPER.limit_pos)
+    assert not ends(turned=0.95 * PAPER.limit_rot)
     # What ends with much time left ends with less of it too.
     assert all(ends(left=t) for t in (1.0, 0.1)) is (grip is not Grip.LOOSE)
 
