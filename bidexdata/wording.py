@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 
 def counted(n: int, one: str, many: str = "") -> str:
     """A number and its noun, singular or plural.
@@ -15,6 +17,16 @@ def counted(n: int, one: str, many: str = "") -> str:
     ('1 row', '0 rows', '2 tasks are')
     """
     return f"{n} {one if n == 1 else many or one + 's'}"
+
+
+def listed(words: Sequence[str], first: int = 3) -> str:
+    """The first of some words, and how many more there are.
+
+    >>> listed(["a", "b"]), listed(["a", "b", "c", "d", "e"])
+    ('a, b', 'a, b, c and 2 more')
+    """
+    more = f" and {len(words) - first} more" if len(words) > first else ""
+    return ", ".join(words[:first]) + more
 
 
 def share(value: float | None, missing: str = "-") -> str:

@@ -34,6 +34,7 @@ class Tally:
     def __init__(self, tests: tuple[str, ...] = ("f",)):
         self.tests = tests
         self._scenes: dict[tuple[str, str], tuple[str, int]] = {}
+        self._kept_of: set[str] = set()  # scenes with a selected row
         self._rows: Counter[str] = Counter()
         self._attempts: Counter[str] = Counter()
         self._verdicts: dict[str, Counter[str]] = {t: Counter() for t in tests}
@@ -64,6 +65,7 @@ class Tally:
         verdicts = verdicts or {}
         selected, audit = _flags(batch)
         touched, new = self._note_scenes(batch, run)
+        self._kept_of.update(np.unique(batch["scene_id"][selected]).tolist())
         self._diversity[None].add(batch, selected)
         for size in sorted(set(touched.values())):
             self._diversity[size].add(batch, selected & (batch["size_mm"] == size))
@@ -134,6 +136,10 @@ class Tally:
                 },
             }
         return out
+
+    def without_grasp(self) -> list[str]:
+        """Scenes that no grasp was kept of, sorted."""
+        return sorted({scene for _, scene in self._scenes} - self._kept_of)
 
     def groups(self, test: str, by: str) -> dict[str, Any]:
         """Figures of every group of the selected rows of a test; see `GroupTally.groups`."""

@@ -92,6 +92,7 @@ def describe_run(run: Run, by: str | None = None) -> dict[str, Any]:
         **_imported(run),
         "rest_poses": spec.rest_poses,
         "without_scene": list(spec.without_scene),
+        "without_grasp": tallies[protocols[0]][0].without_grasp(),
         "sizes_mm": list(spec.sizes_mm),
         "grasps": spec.grasps,
         "candidates": spec.candidates,

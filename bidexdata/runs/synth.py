@@ -231,7 +231,9 @@ def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) ->
         "task %s: %d rows in %.1f s", task.task_id, len(batch), seconds
     )
     good = int((batch["selected"] & (batch["synth_status"] == Status.OK)).sum())
-    return TaskSummary(len(batch), good, dict(counts))
+    kept = set(batch["scene_id"][batch["selected"]].tolist())
+    without = tuple(s for s in task.scene_ids if s not in kept)
+    return TaskSummary(len(batch), good, dict(counts), without)
 
 
 def round_seed(seed: int, number: int) -> int:

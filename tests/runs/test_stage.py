@@ -20,7 +20,7 @@ def work(folder: Path, bad: frozenset[str], task: Task) -> TaskSummary:
     if task.object_id in bad:
         raise RuntimeError(f"{task.object_id} is bad")
     write_text(shard_path(folder, task.task_id), task.object_id)
-    return TaskSummary(2, 1, {"ok": 1, "no_placement": 1})
+    return TaskSummary(2, 1, {"ok": 1, "no_placement": 1}, task.scene_ids)
 
 
 def stage(folder: Path, bad: set[str], executor: str = "inline"):
@@ -43,6 +43,7 @@ def test_a_failed_task_is_reported_logged_and_tried_again(tmp_path: Path, execut
     }
     assert (first.tasks, first.before, first.finished) == (5, 0, 3)
     assert (first.rows, first.good, first.by_status) == (6, 3, {"ok": 3, "no_placement": 3})
+    assert first.without_grasp == ("o0/300/float", "o2/300/float", "o4/300/float")
     logged = "".join(p.read_text() for p in (tmp_path / "logs").iterdir())
     assert "o3 is bad" in logged
     assert "Traceback" in logged
