@@ -22,6 +22,12 @@ def info(
             help="object, size, hand or status: a table of every metric's mean per group instead."
         ),
     ] = None,
+    protocol: Annotated[
+        str | None,
+        typer.Option(
+            help="Whose figures; when left out a release's default, and all that a run has."
+        ),
+    ] = None,
     as_json: options.Json = False,
     quiet: options.Quiet = False,
     debug: options.Debug = False,
@@ -40,12 +46,12 @@ def info(
     without_grasp (scenes that no grasp was kept of), sizes_mm, grasps, candidates, seed, objects,
     tasks, done (per stage), made_with (per stage: a list of tasks, device, device_name and package
     versions), figures, protocols; a release: name, version, schema_version, default_protocol,
-    tests, splits, hands, figures. With --by also: by, groups (per protocol, test and group: rows, objects, selected,
+    tests, splits, hands, protocol (whose figures), figures. With --by also: by, groups (per protocol, test and group: rows, objects, selected,
     metrics).
     """
     from bidexdata.runs.info import describe
 
-    data = describe(path, by)
+    data = describe(path, by, protocol)
     lines = _LINES[data["kind"]](data)
     if by is not None:
         lines = [lines[0], *group_lines(data)]
@@ -121,7 +127,7 @@ def _release_lines(data: dict[str, Any]) -> list[str]:
         f"{data['path']}: release {data['name']} {data['version']} "
         f"(schema {data['schema_version']}), objects: {splits}; hands {', '.join(data['hands'])}"
     ]
-    return lines + figure_lines(data["figures"], data["default_protocol"])
+    return lines + figure_lines(data["figures"], data["protocol"])
 
 
 _LINES = {"library": _library_lines, "run": _run_lines, "release": _release_lines}
