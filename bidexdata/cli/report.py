@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from bidexdata.runs.stage import StageReport
 
 
-_WIDEST = 44
-"""Longest cell that widens its column."""
+_WIDEST = 57
+"""Longest cell that widens its column: an object id at its longest. Lists of a configuration, which
+may fill several lines, do not."""
 
 
 def finish(
