@@ -110,7 +110,7 @@ def configured(base: T, config: Path | None, assignments: list[str] | None) -> T
     changes = {} if config is None else load_yaml(config)
     try:
         if changes:
-            base = from_plain(type(base), merge(to_plain(base), changes), str(config))
+            base = from_plain(type(base), merge(to_plain(base), changes), f"{config}:")
         return with_overrides(base, assignments or [])
     except (UnknownKey, UnknownChoice):
         raise
