@@ -73,6 +73,9 @@ class SynthRequest:
         setting_of(self.setting)
         if not self.sizes_mm or any(not 10 <= mm <= 5000 for mm in self.sizes_mm):
             raise BadValue("--sizes: give sizes in metres between 0.01 and 5, such as 0.3,0.5")
+        twice = [mm for mm, n in Counter(self.sizes_mm).items() if n > 1]
+        if twice:
+            raise BadValue(f"--sizes: {twice[0] / 1000:g} is there more than once; give it once")
         if self.grasps is not None and not 1 <= self.grasps <= 10_000:
             raise BadValue(f"--grasps {self.grasps}: give a number from 1 to 10000")
         if self.candidates is not None and self.candidates < (self.grasps or 1):
@@ -154,7 +157,7 @@ def _wanted(library: Library, out: Path, request: SynthRequest, old: RunSpec | N
         config=to_plain(request.config),
         hand=portable_hand(request.hand, out),
         hands=tuple(h.header() for h in hands),
-        sizes_mm=tuple(sorted(set(request.sizes_mm))),
+        sizes_mm=tuple(sorted(request.sizes_mm)),
         setting=request.setting,
         rest_poses=_rest_poses(request),
         without_scene=_without_scene(library, request),

@@ -64,6 +64,7 @@ WRITTEN = [
     ([*SYNTH, "--grasps", "20000"], "--grasps"),
     ([*SYNTH, "--candidates", "0"], "--candidates"),
     ([*SYNTH, "--sizes", "90"], "--sizes"),
+    ([*SYNTH, "--sizes", "0.3,0.5,0.30"], "--sizes: 0.3 is there more than once"),
     ([*SYNTH, "--seed", "-1"], "--seed"),
     ([*SYNTH, "--workers", "-1"], "--workers"),
     ([*SYNTH, "--set", "regions.anchors=0"], "error: regions.anchors must"),
