@@ -103,6 +103,8 @@ NAMED = [
     # a file that is no YAML mapping
     ([*SYNTH, "--config", "{tmp}/broken.yaml"], "not valid YAML"),
     ([*PREPARE, "--config", "{tmp}/list.yaml"], "expected a mapping"),
+    # an output file of an unknown ending (that of `render`: tests/pictures/test_render.py)
+    (["table", "{tmp}", "--out", "{tmp}/a.xls"], "is written as one of .csv, .parquet"),
     # a preset, protocol, executor, device or family that is not there
     ([*SYNTH, "--preset", "papre"], "known: default, paper"),
     ([*VALIDATE, "--protocol", "papre-1"], "known: paper-1"),

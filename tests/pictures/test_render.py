@@ -103,8 +103,10 @@ def test_video_moments_run_through_all_stages():
 
 
 def test_impossible_wishes_are_named(opened, source, tmp_path: Path, monkeypatch):
-    with pytest.raises(BadConfig, match="contact sheet"):
-        render("run", tmp_path / "a.mp4", quiet=True)
+    for ending in ("mp4", "jpgg"):
+        with pytest.raises(BadConfig, match="contact sheet") as caught:
+            render("run", tmp_path / f"a.{ending}", quiet=True)
+        assert caught.value.exit_code == 3  # as every output file of an unknown ending
     with pytest.raises(BadConfig, match="animation"):
         render("run", tmp_path / "a.jpg", video=True, quiet=True)
     with pytest.raises(BadConfig, match="--count"):
