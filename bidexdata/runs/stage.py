@@ -15,7 +15,7 @@ from bidexdata.runs.progress import Progress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Execution:
+class TaskExecution:
     """Where and how a command runs; nothing here changes a result."""
 
     executor: str = "processes"
@@ -70,7 +70,7 @@ def run_stage(
     *,
     unit: str,
     logs: Path,
-    execution: Execution,
+    execution: TaskExecution,
 ) -> StageReport:
     """Run the tasks that are not done yet.
 

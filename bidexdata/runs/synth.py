@@ -39,7 +39,7 @@ from bidexdata.runs.spec import (
     relative_to_run,
     write_spec,
 )
-from bidexdata.runs.stage import Execution, StageReport, TaskSummary, run_stage
+from bidexdata.runs.stage import StageReport, TaskExecution, TaskSummary, run_stage
 
 if TYPE_CHECKING:
     from bidexdata.objects.library import Library
@@ -93,7 +93,7 @@ def synth_library(
     out: str | Path,
     request: SynthRequest,
     *,
-    execution: Execution | None = None,
+    execution: TaskExecution | None = None,
     device: str = "cpu",
 ) -> StageReport:
     """Synthesise grasps for every object of a library, or go on where a run stopped.
@@ -106,7 +106,7 @@ def synth_library(
     """
     from bidexdata.objects.library import Library
 
-    execution = execution or Execution()
+    execution = execution or TaskExecution()
     if execution.executor != "ray":  # whose workers have devices of their own
         check_device(device)
     run = start_run(Library.open(library), Path(out), request)

@@ -24,9 +24,9 @@ from bidexdata.runs.info import describe
 from bidexdata.runs.pack import pack_runs
 from bidexdata.runs.retest import start_retest
 from bidexdata.runs.run import Run
-from bidexdata.runs.stage import Execution
+from bidexdata.runs.stage import TaskExecution
 
-HERE = Execution(executor="inline", quiet=True)
+HERE = TaskExecution(executor="inline", quiet=True)
 N = len(OBJECTS) * len(SCALES) * PER_SCENE
 
 
@@ -103,7 +103,7 @@ def test_worker_processes_give_the_same_bytes(bench, tmp_path, monkeypatch):
     # Workers are fresh processes, which know nothing of the coarse configuration.
     monkeypatch.setattr(import_objects, "PrepareConfig", PrepareConfig)
     import_run(request(bench, limit=1), tmp_path / "here", execution=HERE)
-    workers = Execution(workers=1, quiet=True)
+    workers = TaskExecution(workers=1, quiet=True)
     import_run(request(bench, limit=1), tmp_path / "there", execution=workers)
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
 

@@ -11,7 +11,7 @@ import pytest
 from bidexdata.runs.plan import Task
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.shards import done_tasks, shard_path, write_text
-from bidexdata.runs.stage import Execution, TaskSummary, run_stage
+from bidexdata.runs.stage import TaskExecution, TaskSummary, run_stage
 
 TASKS = [Task(f"{k:02x}{k:014x}", f"o{k}", (f"o{k}/300/float",), 0) for k in range(5)]
 
@@ -30,7 +30,7 @@ def stage(folder: Path, bad: set[str], executor: str = "inline"):
         partial(work, folder / "synth", frozenset(bad)),
         unit="task",
         logs=folder / "logs",
-        execution=Execution(executor=executor, workers=2, quiet=True),
+        execution=TaskExecution(executor=executor, workers=2, quiet=True),
     )
 
 
