@@ -19,10 +19,9 @@ import numpy as np
 from bidexdata.formats.diversity import DiversityTally
 from bidexdata.formats.groups import BOUNDED, GroupTally, hands_label
 from bidexdata.record import GraspBatch, Status
+from bidexdata.record.fields import HEADLINE
 from bidexdata.record.rates import Rate, clustered_interval
 from bidexdata.wording import counted
-
-METRIC_MEANS = ("pd", "spd", "cdc")
 
 
 class Tally:
@@ -233,7 +232,7 @@ def _passed(batch: GraspBatch, verdict: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def _means(metrics: Mapping[str, Any]) -> dict[str, float | None]:
-    return {name: metrics[name]["mean"] if name in metrics else None for name in METRIC_MEANS}
+    return {name: metrics[name]["mean"] if name in metrics else None for name in HEADLINE}
 
 
 def _number(mask: np.ndarray) -> int:

@@ -6,10 +6,12 @@ import re
 import pytest
 from made_release import made_release
 
-from bidexdata.cli.groups import LEGEND, TABLES, group_lines
+from bidexdata.cli.groups import LEGEND, group_lines
 from bidexdata.cli.main import COMMANDS, run
-from bidexdata.formats.groups import BY, METRICS
+from bidexdata.formats.groups import BY
+from bidexdata.formats.metric_text import BLOCKS
 from bidexdata.objects.identity import named_id
+from bidexdata.record.fields import METRICS
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +50,7 @@ def test_the_lines_of_info_give_the_intervals(release, capsys):
 
 
 def test_every_metric_has_a_place_in_one_table():
-    assert sorted(m for block in TABLES for m in block) == sorted(METRICS)
+    assert sorted(m for block in BLOCKS for m in block) == sorted(METRICS)
 
 
 def test_heads_stand_over_their_columns_however_long_the_object_ids_are():

@@ -10,15 +10,17 @@ from made_release import PAPER_F, made_hands, made_release, made_rows, made_verd
 
 from bidexdata.errors import NotUsable, UnknownName
 from bidexdata.formats.figures import Tally
-from bidexdata.formats.groups import BOUNDED, BY, METRICS, GroupTally, hands_label
+from bidexdata.formats.groups import BOUNDED, BY, GroupTally, hands_label
 from bidexdata.formats.manifest import write_manifest
 from bidexdata.formats.metric_text import SHOWN, metric_text
 from bidexdata.formats.release import Release
 from bidexdata.formats.verify import verify_release
 from bidexdata.record import FIELDS, Header, Status
-from bidexdata.record.fields import columns_written_by
+from bidexdata.record.fields import ANALYTIC, MEASURED, METRICS, columns_written_by
 from bidexdata.record.rates import clustered_interval
 from bidexdata.runs.info import describe
+from bidexdata.validation.analytic import AnalyticMetrics
+from bidexdata.validation.metrics import Metrics
 
 OBJECTS = tuple(f"box-{i:08d}" for i in range(12))
 HANDS = "made left, made right"
@@ -111,6 +113,8 @@ def test_every_number_of_a_verdict_is_a_metric_and_has_a_form():
     states = {"success", "verdict_status", "failed_stage", "direction"}
     assert set(METRICS) == set(columns_written_by("validate")) - states
     assert list(SHOWN) == list(METRICS)
+    assert Metrics._fields == MEASURED
+    assert AnalyticMetrics._fields == ANALYTIC
     for name, shown in SHOWN.items():
         assert {"m": "mm", "rad": "deg"}.get(FIELDS[name].unit, FIELDS[name].unit) == shown.unit
 

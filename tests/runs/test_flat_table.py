@@ -80,7 +80,7 @@ def test_columns_are_all_scalars_of_the_field_table():
         there = [c for c in columns if c.field is field]
         if field.axes or field.table not in ("grasps", "verdicts"):
             assert not there, field.name
-        elif field.table == "grasps" or field.name in flat.MEASURED:
+        elif field.table == "grasps" or field.name in flat.OF_GRASP:
             assert [c.name for c in there] == [field.name]
         else:
             assert [c.test for c in there] == ["f", "l", "a"]
