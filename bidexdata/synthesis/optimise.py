@@ -20,7 +20,7 @@ from bidexdata.frames import quat_from_matrix
 from bidexdata.synthesis import chain
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.workspace import Start, Workspace, allocate
-from bidexdata.wrench.qp import ContactQP, QPConfig, allocate_contact_qp, solve_contact_qp
+from bidexdata.wrench.qp import ContactQP, allocate_contact_qp, solve_contact_qp
 from bidexdata.wrench.qp_groups import axis_targets, qp_groups, zero_target
 
 if TYPE_CHECKING:
@@ -105,11 +105,6 @@ def torque_lengths(
     return np.maximum(closure.torque_length * longest * size, closure.least_torque_length)
 
 
-def qp_config(closure: ClosureConfig) -> QPConfig:
-    """The contact QP's constants."""
-    return QPConfig(mu=closure.friction, gamma=closure.gamma, cap=closure.cap, beta=closure.beta)
-
-
 def read_pose(ws: Workspace, hands: Sequence[Hand]) -> Pose:
     """Copy the hands' poses from the device."""
     joints = []
@@ -133,7 +128,7 @@ def _approach(ws: Workspace, config: OptimiseConfig) -> None:
     run = [*chain.kinematics(ws), *chain.surface(ws, energy)]
     for call in run:
         call()
-    constants = qp_config(closure)
+    constants = closure.qp
     c = ws.contacts
     solve_contact_qp(
         c.points,
@@ -205,7 +200,7 @@ def _evaluate(ws: Workspace, config: OptimiseConfig) -> Energies:
         c.normals_in,
         ws.torque_length,
         qp,
-        qp_config(closure),
+        closure.qp,
         iterations=max(closure.start_iterations, 100),
     )
     real = np.zeros((2, c.centres.shape[1] // 2), bool)
