@@ -110,7 +110,7 @@ class PlacementConfig:
 
 
 class Placement(NamedTuple):
-    """Starts of M attempts; world frame."""
+    """Starts of M attempts; object frame."""
 
     pair_index: Int[np.ndarray, " M"]
     """Region pair of each attempt."""
@@ -199,8 +199,7 @@ def place_palms(
         todo = todo[~free]
         if not len(todo):
             break
-    world_pos, world_quat = _in_world(scene, pos, quat)
-    return Placement(pair_index, world_pos, world_quat, _postures(hands, shapes, flat), ok)
+    return Placement(pair_index, pos, quat, _postures(hands, shapes, flat), ok)
 
 
 def _places(
@@ -304,15 +303,6 @@ def _preferred(scene: Scene, config: PlacementConfig, side: int) -> Float[np.nda
     world = np.array(config.left_direction if side == 0 else config.right_direction)
     to_object = frames.quat_conjugate(np.array(scene.object_quat_wxyz))
     return frames.quat_rotate(to_object, world / np.linalg.norm(world))
-
-
-def _in_world(
-    scene: Scene, pos: Float[np.ndarray, "M 2 3"], quat: Float[np.ndarray, "M 2 4"]
-) -> tuple[Float[np.ndarray, "M 2 3"], Float[np.ndarray, "M 2 4"]]:
-    """Move hand poses from the object frame to the world."""
-    q = np.array(scene.object_quat_wxyz)
-    moved = frames.quat_rotate(q, pos) + np.array(scene.object_pos)
-    return moved, frames.quat_canonical(frames.quat_multiply(q, quat))
 
 
 def _postures(
