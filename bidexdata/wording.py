@@ -36,3 +36,17 @@ def share(value: float | None, missing: str = "-") -> str:
     ('87.5 %', '-')
     """
     return missing if value is None else f"{100 * value:.1f} %"
+
+
+def duration(seconds: float) -> str:
+    """A time to the second, or to the minute from an hour on.
+
+    >>> duration(59.7), duration(7199.0)
+    ('1 min 0 s', '1 h 59 min')
+    """
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"

@@ -124,7 +124,7 @@ def read_pose(ws: Workspace, hands: Sequence[Hand]) -> Pose:
 def _approach(ws: Workspace, config: OptimiseConfig) -> None:
     """Phase 1: closure, distance, region; where to touch."""
     energy, closure, phase = config.energy, config.closure, config.approach
-    qp, weights = _closure_problem(ws, closure)
+    qp, weights = closure_problem(ws, closure)
     run = [*chain.kinematics(ws), *chain.surface(ws, energy)]
     for call in run:
         call()
@@ -184,7 +184,7 @@ def _iterate(
 def _evaluate(ws: Workspace, config: OptimiseConfig) -> Energies:
     """Surface under the pads and all energies of the state."""
     energy, closure = config.energy, config.closure
-    qp, _ = _closure_problem(ws, closure)
+    qp, _ = closure_problem(ws, closure)
     for call in [
         *chain.kinematics(ws),
         *chain.surface(ws, energy),
@@ -226,7 +226,7 @@ def _evaluate(ws: Workspace, config: OptimiseConfig) -> Energies:
     )
 
 
-def _closure_problem(ws: Workspace, closure: ClosureConfig) -> tuple[ContactQP, Any]:
+def closure_problem(ws: Workspace, closure: ClosureConfig) -> tuple[ContactQP, Any]:
     """QPs of the configured contact groups, and the weight of each group."""
     import warp as wp
 

@@ -15,7 +15,6 @@ from bidexdata.cli.main import run
 from bidexdata.cli.report import earlier_text, no_grasp_text, refuse_nothing, warn_of_failed
 from bidexdata.errors import NothingSucceeded
 from bidexdata.runs.executors import TaskFailure
-from bidexdata.runs.progress import _duration
 from bidexdata.runs.stage import StageReport
 
 
@@ -120,11 +119,3 @@ def test_only_the_first_scenes_without_a_grasp_are_named():
 def test_figures_of_one_call_say_what_earlier_calls_did():
     assert earlier_text(0) == ""
     assert earlier_text(3) == "; 3 tasks of earlier calls not counted"
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [(59.7, "1 min 0 s"), (119.8, "2 min 0 s"), (3.2, "3 s"), (7199.0, "1 h 59 min")],
-)
-def test_no_minute_has_sixty_seconds(seconds, text):
-    assert _duration(seconds) == text

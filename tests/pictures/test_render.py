@@ -57,7 +57,7 @@ def test_one_handed_grasps_get_a_sheet_that_names_their_hand(hands, monkeypatch,
     monkeypatch.setattr(render_module, "open_browsable", lambda path, protocol=None: made)
     report = render("run", tmp_path / "a.png", count=2, quiet=True)
     assert len(report.shown) == 2
-    assert render_module._title(made, None, ["right"]).endswith("right hand green")
+    assert render_module.sheet_title(made, None, ["right"]).endswith("right hand green")
     assert Image.open(tmp_path / "a.png").size[0] > 2 * render_module.WIDTH
 
 

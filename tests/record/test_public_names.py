@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,10 @@ def test_type_checkers_see_the_same_names_at_the_same_places():
     tree = ast.parse(Path(bidexdata.__file__).read_text(encoding="utf-8"))
     (seen,) = [n for n in tree.body if isinstance(n, ast.If)]
     imports = [n for n in seen.body if isinstance(n, ast.ImportFrom)]
-    assert {a.asname: n.module for n in imports for a in n.names} == bidexdata._PUBLIC
+    seen_at = {a.asname: n.module for n in imports for a in n.names}
+    assert {*seen_at, "__version__"} == set(dir(bidexdata))
+    for name, module in seen_at.items():
+        assert getattr(import_module(str(module)), str(name)) is getattr(bidexdata, str(name))
     assert all(a.name == a.asname for n in imports for a in n.names)
 
 

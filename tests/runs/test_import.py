@@ -232,14 +232,14 @@ def test_nothing_usable_leaves_no_run(copied, tmp_path):
 def test_a_file_that_ends_its_reader_costs_no_other(copied, tmp_path, monkeypatch):
     # A chunk whose worker died is read again file by file.
     victim = sorted(p.relative_to(copied).as_posix() for p in copied.rglob("*.npy"))[3]
-    read = import_scan._scan_file
+    read = import_scan.read_file
 
     def dying(form, root, name):
         if name == victim:
             raise MemoryError("no more")
         return read(form, root, name)
 
-    monkeypatch.setattr(import_scan, "_scan_file", dying)
+    monkeypatch.setattr(import_scan, "read_file", dying)
     report = import_run(request(copied), tmp_path / "run", execution=HERE)
     assert [f.file for f in report.failed] == [victim]
     assert "reading it failed: MemoryError" in report.failed[0].reason

@@ -12,7 +12,7 @@ from bidexdata.hands import load_hands
 from bidexdata.hands.kinematics import hand_points
 from bidexdata.record.scene import Scene
 from bidexdata.synthesis.distance_field import signed_distance
-from bidexdata.synthesis.placement import PlacementConfig, _hang, _variation, place_palms
+from bidexdata.synthesis.placement import PlacementConfig, hang_hand, place_palms, scaled_variation
 from bidexdata.synthesis.placement_shapes import start_shapes, tangent_frames
 from bidexdata.synthesis.regions import RegionConfig, select_region_pairs
 from bidexdata.synthesis.regions_build import hull_depth, hull_planes
@@ -165,9 +165,9 @@ def test_mirrored_draws_give_mirrored_hands(hands):
     poses = []
     for h, sign in ((0, mirror), (1, np.ones(3))):
         poses.append(
-            _hang(
+            hang_hand(
                 start_shapes(hands[h], "contacts"), flat, over * sign, normal * sign,
-                direction * sign, _variation(lots, CONFIG, mirrored=h == 0), CONFIG,
+                direction * sign, scaled_variation(lots, CONFIG, mirrored=h == 0), CONFIG,
             )
         )  # fmt: skip
     (_, R_left, _), (_, R_right, _) = poses
