@@ -14,7 +14,6 @@ __version__ = "0.1.0"
 # Public name -> the module that defines it.
 _PUBLIC = {
     "BiDexDataset": "bidexdata.loaders.dataset",
-    "Execution": "bidexdata.runs.stage",
     "GraspBatch": "bidexdata.record",
     "Hand": "bidexdata.hands.model",
     "HandModel": "bidexdata.hands.torch_layer",
@@ -23,6 +22,7 @@ _PUBLIC = {
     "Release": "bidexdata.formats.release",
     "Run": "bidexdata.runs.run",
     "SynthRequest": "bidexdata.runs.synth",
+    "TaskExecution": "bidexdata.runs.stage",
     "describe": "bidexdata.runs.info",
     "import_run": "bidexdata.runs.import_",
     "load_hand": "bidexdata.hands",
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from bidexdata.runs.prepare import prepare_library as prepare_library
     from bidexdata.runs.render import render as render
     from bidexdata.runs.run import Run as Run
-    from bidexdata.runs.stage import Execution as Execution
+    from bidexdata.runs.stage import TaskExecution as TaskExecution
     from bidexdata.runs.synth import SynthRequest as SynthRequest
     from bidexdata.runs.synth import synth_library as synth_library
     from bidexdata.runs.table import write_table as write_table

@@ -49,23 +49,29 @@ def from_plain(cls: type[T], data: Any, where: str | None = None) -> T:
     Args:
         cls: A frozen dataclass; nested dataclasses and tuples are rebuilt too.
         data: Keys are field names; missing keys take the field's default.
-        where: How messages name this level; the class name when omitted.
+        where: How messages name this level; the class name when omitted. Empty: keys stand alone,
+            as a person types them. With a colon at its end (a file's name) they follow it.
 
     Raises:
         UnknownKey: A key of `data` is no field of `cls`.
         BadConfig: A value has the wrong type, or `cls` itself refuses it.
     """
-    where = where or cls.__name__
+    where = cls.__name__ if where is None else where
     if not isinstance(data, Mapping):
-        raise BadConfig(f"{where} must be a mapping of keys to values, not {data!r}")
+        raise BadConfig(f"{_level(where)} must be a mapping of keys to values, not {data!r}")
     fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
     hints = typing.get_type_hints(cls)
     kwargs = {}
     for key, value in data.items():
         if key not in fields:
-            raise UnknownKey(key, sorted(fields), where)
-        kwargs[key] = _convert(hints[key], value, f"{where}.{key}")
-    return cls(**kwargs)
+            raise UnknownKey(key, sorted(fields), _level(where))
+        kwargs[key] = _convert(hints[key], value, _key(where, key))
+    try:
+        return cls(**kwargs)
+    except BadConfig as err:
+        # A class says Class.field: under which key it stands only this level knows.
+        err.args = (str(err).replace(f"{cls.__name__}.", _key(where, ""), 1),)
+        raise
 
 
 def canonical_json(data: Any) -> str:
@@ -108,7 +114,7 @@ def with_overrides(config: T, assignments: Sequence[str]) -> T:
                 f"--set {assignment!r}: write KEY=VALUE, for example regions.anchors=100"
             )
         _assign(plain, key.strip().split("."), _parse_yaml(text, f"--set {key}"), key)
-    return from_plain(type(config), plain)
+    return from_plain(type(config), plain, "")
 
 
 def load_yaml(path: str | Path) -> dict[str, Any]:
@@ -143,6 +149,17 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
     return merged
 
 
+def _key(where: str, key: str) -> str:
+    """Name a key of a level: `regions.anchors`, `file.yaml: anchors`, or `anchors` at the top."""
+    if where.endswith(":"):
+        return f"{where} {key}"
+    return f"{where}.{key}" if where else key
+
+
+def _level(where: str) -> str:
+    return where.rstrip(":") or "the configuration"
+
+
 def _parse_yaml(text: str, where: str) -> Any:
     import yaml
 
@@ -156,10 +173,10 @@ def _parse_yaml(text: str, where: str) -> Any:
 def _assign(plain: dict[str, Any], path: list[str], value: Any, whole: str) -> None:
     for depth, part in enumerate(path[:-1]):
         if not isinstance(plain.get(part), dict):
-            raise UnknownKey(part, sorted(plain), ".".join(path[:depth]) or "the configuration")
+            raise UnknownKey(part, sorted(plain), _level(".".join(path[:depth])))
         plain = plain[part]
     if path[-1] not in plain:
-        raise UnknownKey(path[-1], sorted(plain), ".".join(path[:-1]) or "the configuration")
+        raise UnknownKey(path[-1], sorted(plain), _level(".".join(path[:-1])))
     if isinstance(plain[path[-1]], dict) and not isinstance(value, dict):
         raise BadConfig(f"{whole} is a group; set one of {', '.join(plain[path[-1]])}")
     plain[path[-1]] = value

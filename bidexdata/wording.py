@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 
 def counted(n: int, one: str, many: str = "") -> str:
     """A number and its noun, singular or plural.
@@ -17,6 +19,16 @@ def counted(n: int, one: str, many: str = "") -> str:
     return f"{n} {one if n == 1 else many or one + 's'}"
 
 
+def listed(words: Sequence[str], first: int = 3) -> str:
+    """The first of some words, and how many more there are.
+
+    >>> listed(["a", "b"]), listed(["a", "b", "c", "d", "e"])
+    ('a, b', 'a, b, c and 2 more')
+    """
+    more = f" and {len(words) - first} more" if len(words) > first else ""
+    return ", ".join(words[:first]) + more
+
+
 def share(value: float | None, missing: str = "-") -> str:
     """A share in percent, or the word for one that there is not.
 
@@ -24,3 +36,17 @@ def share(value: float | None, missing: str = "-") -> str:
     ('87.5 %', '-')
     """
     return missing if value is None else f"{100 * value:.1f} %"
+
+
+def duration(seconds: float) -> str:
+    """A time to the second, or to the minute from an hour on.
+
+    >>> duration(59.7), duration(7199.0)
+    ('1 min 0 s', '1 h 59 min')
+    """
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"

@@ -18,7 +18,7 @@ import numpy as np
 
 from bidexdata import frames
 from bidexdata.formats import parquet
-from bidexdata.formats.hand_files import _fields, contact_centres
+from bidexdata.formats.hand_files import contact_centres, tree_of
 from bidexdata.formats.manifest import write_manifest
 from bidexdata.formats.release import ReleaseRows, RunInfo, write_release
 from bidexdata.hands.model import Hand
@@ -236,7 +236,7 @@ def _fill_poses(c, pair, rng, ok, setting) -> None:
         J, C = len(hand.joint_names), len(hand.contact_names)
         span = hand.joint_upper - hand.joint_lower
         c["joints"][ok, h, :, :J] = hand.joint_lower + span * rng.random((k, 3, J))
-        tree = _fields(hand)
+        tree = tree_of(hand)
         local = contact_centres(tree, c["joints"][ok, h, 1])
         R = frames.matrix_from_quat(c["hand_quat_wxyz"][ok, h, 1])
         world = local @ np.swapaxes(R, 1, 2) + c["hand_pos"][ok, h, 1].astype(float)[:, None]

@@ -62,12 +62,13 @@ def figure_lines(
 def _lengths(figures: Mapping[str, Any]) -> str:
     """`PD 0.90 mm (0.81-1.02), SPD ...`; figures of older releases have no intervals."""
     from bidexdata.formats.metric_text import metric_text
+    from bidexdata.record.fields import HEADLINE
 
     every = (test.get("metrics") for test in figures["tests"].values())
     metrics = next(filter(None, every), {})
     return ", ".join(
         f"{name.upper()} {metric_text(name, metrics.get(name, {'mean': figures[name]}), unit=True)}"
-        for name in ("pd", "spd", "cdc")
+        for name in HEADLINE
     )
 
 

@@ -14,12 +14,6 @@ LEGEND = (
 
 
 _ONE = ("object", "objects")  # the column that would hold nothing but ones
-TABLES = (
-    ("pd", "spd", "cdc"),
-    ("contact_number", "contact_distance", "load_margin", "q1", "qp_certificate"),
-    ("drift_pos", "drift_rot", "time"),
-)
-"""Metrics that stand side by side: all in one table would be wider than a terminal."""
 
 
 def group_lines(data: Mapping[str, Any]) -> list[str]:
@@ -43,12 +37,12 @@ def group_lines(data: Mapping[str, Any]) -> list[str]:
 
 
 def _tables(by: str, groups: Mapping[str, Any]) -> list[str]:
-    from bidexdata.formats.metric_text import metric_head, metric_text
+    from bidexdata.formats.metric_text import BLOCKS, metric_head, metric_text
 
     lines = []
-    for block in TABLES:
+    for block in BLOCKS:
         used = [m for m in block if any(m in found["metrics"] for found in groups.values())]
-        first = block is TABLES[0]
+        first = block is BLOCKS[0]
         if not (first or used):
             continue
         counts = [key for key in ("rows", "objects") if first and (by, key) != _ONE]

@@ -10,7 +10,7 @@ import typer
 from bidexdata.cli import options
 from bidexdata.cli.figures import figure_lines
 from bidexdata.cli.groups import group_lines
-from bidexdata.cli.report import counts_text, finish, no_scene_text, validate_again
+from bidexdata.cli.report import counts_text, finish, no_grasp_text, no_scene_text, validate_again
 from bidexdata.wording import counted
 
 
@@ -20,6 +20,12 @@ def info(
         str | None,
         typer.Option(
             help="object, size, hand or status: a table of every metric's mean per group instead."
+        ),
+    ] = None,
+    protocol: Annotated[
+        str | None,
+        typer.Option(
+            help="Whose figures; when left out a release's default, and all that a run has."
         ),
     ] = None,
     as_json: options.Json = False,
@@ -36,15 +42,16 @@ def info(
 
     --json keys: kind, path and, for a library: fingerprint, inputs, objects, hulls, by_status,
     failures (source_name, status, reason), warnings (source_name, warning); a run: fingerprint,
-    hand, preset, setting, rest_poses, without_scene (objects that no scene could be made of), sizes_mm, grasps, candidates, seed, objects, tasks, done (per stage),
-    made_with (per stage: a list of tasks, device, device_name and package versions), figures,
-    protocols; a release: name, version, schema_version, default_protocol, tests, splits, hands,
-    figures. With --by also: by, groups (per protocol, test and group: rows, objects, selected,
+    hand, preset, setting, rest_poses, without_scene (objects that no scene could be made of),
+    without_grasp (scenes that no grasp was kept of), sizes_mm, grasps, candidates, seed, objects,
+    tasks, done (per stage), made_with (per stage: a list of tasks, device, device_name and package
+    versions), figures, protocols; a release: name, version, schema_version, default_protocol,
+    tests, splits, hands, protocol (whose figures), figures. With --by also: by, groups (per protocol, test and group: rows, objects, selected,
     metrics).
     """
     from bidexdata.runs.info import describe
 
-    data = describe(path, by)
+    data = describe(path, by, protocol)
     lines = _LINES[data["kind"]](data)
     if by is not None:
         lines = [lines[0], *group_lines(data)]
@@ -83,6 +90,8 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
         )
     if data["without_scene"]:
         lines.append(no_scene_text(data["without_scene"]))
+    if data["without_grasp"]:
+        lines.append(no_grasp_text(data["without_grasp"]))
     for stage, done in data["done"].items():
         lines.append(f"{stage}: {done} of {counted(data['tasks'], 'task')} done")
         lines += [_made_with_line(kind) for kind in data["made_with"][stage]]
@@ -118,7 +127,7 @@ def _release_lines(data: dict[str, Any]) -> list[str]:
         f"{data['path']}: release {data['name']} {data['version']} "
         f"(schema {data['schema_version']}), objects: {splits}; hands {', '.join(data['hands'])}"
     ]
-    return lines + figure_lines(data["figures"], data["default_protocol"])
+    return lines + figure_lines(data["figures"], data["protocol"])
 
 
 _LINES = {"library": _library_lines, "run": _run_lines, "release": _release_lines}

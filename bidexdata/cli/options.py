@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 if TYPE_CHECKING:
-    from bidexdata.runs.stage import Execution
+    from bidexdata.runs.stage import TaskExecution
 
 T = TypeVar("T")
 
@@ -56,11 +56,11 @@ Quiet = Annotated[bool, typer.Option("--quiet", help="No progress and no report,
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
 
 
-def execution_of(executor: str, workers: int, shard: str | None, quiet: bool) -> Execution:
+def execution_of(executor: str, workers: int, shard: str | None, quiet: bool) -> TaskExecution:
     """Collect where and how a command runs."""
-    from bidexdata.runs.stage import Execution
+    from bidexdata.runs.stage import TaskExecution
 
-    return Execution(executor=executor, workers=workers, shard=parse_shard(shard), quiet=quiet)
+    return TaskExecution(executor=executor, workers=workers, shard=parse_shard(shard), quiet=quiet)
 
 
 def parse_shard(text: str | None) -> tuple[int, int] | None:
@@ -110,7 +110,7 @@ def configured(base: T, config: Path | None, assignments: list[str] | None) -> T
     changes = {} if config is None else load_yaml(config)
     try:
         if changes:
-            base = from_plain(type(base), merge(to_plain(base), changes), str(config))
+            base = from_plain(type(base), merge(to_plain(base), changes), f"{config}:")
         return with_overrides(base, assignments or [])
     except (UnknownKey, UnknownChoice):
         raise

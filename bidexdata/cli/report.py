@@ -9,15 +9,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bidexdata.wording import counted
+from bidexdata.wording import counted, listed
 
 if TYPE_CHECKING:
     from bidexdata.record import GraspBatch
     from bidexdata.runs.stage import StageReport
 
 
-_WIDEST = 44
-"""Longest cell that widens its column."""
+_WIDEST = 57
+"""Longest cell that widens its column: an object id at its longest. Lists of a configuration, which
+may fill several lines, do not."""
 
 
 def finish(
@@ -114,6 +115,18 @@ def no_scene_text(object_ids: Sequence[str]) -> str:
     """Say that objects have no rest pose, and name the first."""
     without = counted(len(object_ids), "object has", "objects have")
     return f"no scene: {without} no rest pose (first: {object_ids[0]})"
+
+
+def no_grasp_text(scene_ids: Sequence[str]) -> str:
+    """Say that scenes gave no grasp to keep, and name the first: object, size and, on a table, pose."""
+    named = [_scene_words(*scene_id.rsplit("/", 2)) for scene_id in scene_ids]
+    return f"no grasp kept of {counted(len(named), 'scene')}: {listed(named)}"
+
+
+def _scene_words(object_id: str, size_mm: str, place: str) -> str:
+    from bidexdata.formats.figures import size_text
+
+    return " ".join([object_id, size_text(size_mm), *([] if place == "float" else [place])])
 
 
 def percent(rate: Mapping[str, Any] | None) -> str:

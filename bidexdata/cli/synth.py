@@ -14,6 +14,7 @@ from bidexdata.cli.report import (
     counts_text,
     earlier_text,
     finish,
+    no_grasp_text,
     no_scene_text,
     refuse_nothing,
     warn_of_failed,
@@ -66,10 +67,11 @@ def synth(
 
     The same command goes on after a stop. On a table an object without a rest pose gives no scene.
 
-    --json keys: run, fingerprint, tasks, tasks_before, tasks_failed, without_scene (objects), n,
-    selected, by_status, seconds. tasks_failed, n, selected, by_status and seconds count this call
-    only; `info` gives the whole run. seconds is the time that the whole command took, with the
-    loading of packages and hands and the start of the workers.
+    --json keys: run, fingerprint, tasks, tasks_before, tasks_failed, without_scene (objects),
+    without_grasp (scenes that no grasp was kept of), n, selected, by_status, seconds. tasks_failed,
+    without_grasp, n, selected, by_status and seconds are of this call only; `info` gives the whole
+    run. seconds is the time that the whole command took, with the loading of packages and hands and
+    the start of the workers.
     """
     started = time.perf_counter()
     from bidexdata.record.scene import setting_of
@@ -100,6 +102,7 @@ def synth(
         "tasks_before": report.before,
         "tasks_failed": len(report.failures),
         "without_scene": list(run.spec.without_scene),
+        "without_grasp": list(report.without_grasp),
         "n": report.rows,
         "selected": report.good,
         "by_status": report.by_status,
@@ -116,6 +119,7 @@ def synth(
             f"({done} of {counted(report.tasks, 'task')} done){earlier_text(report.before)}",
             f"attempts: {counts_text(report.by_status)}",
             *([no_scene_text(left_out)] if left_out else []),
+            *([no_grasp_text(report.without_grasp)] if report.without_grasp else []),
         ],
         following=command("validate", out) if done else "",
         as_json=as_json,

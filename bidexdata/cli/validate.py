@@ -21,7 +21,7 @@ from bidexdata.wording import counted
 
 if TYPE_CHECKING:
     from bidexdata.runs.run import Run
-    from bidexdata.runs.stage import Execution
+    from bidexdata.runs.stage import TaskExecution
     from bidexdata.runs.validate import Extra
     from bidexdata.validation.protocols import Protocol
 
@@ -163,7 +163,7 @@ def _validate(
     run: Run,
     rules: Protocol,
     tests: Sequence[str],
-    execution: Execution,
+    execution: TaskExecution,
     extras: Sequence[Extra],
     device: str,
     *,

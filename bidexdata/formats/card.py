@@ -12,9 +12,9 @@ from typing import Any
 
 from bidexdata.formats import parquet
 from bidexdata.formats.figures import size_text
-from bidexdata.formats.groups import METRICS
 from bidexdata.formats.metric_text import metric_head, metric_text
 from bidexdata.objects.sources.item import UNKNOWN
+from bidexdata.record.fields import HEADLINE, METRICS
 from bidexdata.record.rates import Rate
 from bidexdata.wording import counted, share
 
@@ -94,14 +94,14 @@ def _by_size(figures: Mapping[str, Any]) -> str:
     tests = list(figures["tests"])
     head = ["size"]
     head += [f"{kind} SUC-{t.upper()}" for t in tests for kind in ("unselected", "selected")]
-    head += ["kept", "PD mm", "SPD mm", "CDC mm"]
+    head += ["kept", *(metric_head(m) for m in HEADLINE)]
     rows = []
     for size, row in figures["by_size"].items():
         rates = [
             rate_text(row[f"{kind}_{t}"]) for t in tests for kind in ("unselected", "selected")
         ]
         means = _measured_test(figures)["groups"]["size"].get(size, {}).get("metrics", {})
-        metrics = [metric_text(m, means.get(m)) for m in ("pd", "spd", "cdc")]
+        metrics = [metric_text(m, means.get(m)) for m in HEADLINE]
         rows.append([size_text(size), *rates, _share(row["kept"]), *metrics])
     return _markdown(head, rows)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-_BLOCK = 2_000_000
+BLOCK = 2_000_000
 """Point-triangle pairs per block: about 200 MB of intermediate arrays."""
 
 
@@ -20,7 +20,7 @@ def distance_to_triangles(
     """
     points, triangles = np.asarray(points, np.float64), np.asarray(triangles, np.float64)
     out = np.empty(len(points))
-    step = max(1, _BLOCK // max(len(triangles), 1))
+    step = max(1, BLOCK // max(len(triangles), 1))
     for at in range(0, len(points), step):
         block = points[at : at + step, None]
         out[at : at + step] = np.sqrt(_squared(block, triangles[None]).min(axis=1))

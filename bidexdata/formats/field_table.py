@@ -11,13 +11,13 @@ from pathlib import Path
 from bidexdata.formats.flat import FlatColumn, flat_columns
 from bidexdata.formats.tables import (
     GRASP_EXTRAS,
-    METRICS,
     OBJECT_FIELDS,
     RUN_FIELDS,
     SCENE_FIELDS,
 )
 from bidexdata.record import FIELDS, Field
 from bidexdata.record.batch import SCHEMA_VERSION
+from bidexdata.record.fields import MEASURED
 from bidexdata.record.status import Status
 
 PAGE = Path("docs/fields.md")
@@ -38,7 +38,7 @@ def page() -> str:
     by_table = {
         name: [f for f in FIELDS.values() if f.table == name] for name in ("contacts", "verdicts")
     }
-    metrics = [FIELDS[name] for name in METRICS]
+    metrics = [FIELDS[name] for name in MEASURED]
     grasps = [f for f in FIELDS.values() if f.table == "grasps"]
     parts = [
         _INTRO,

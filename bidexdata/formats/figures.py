@@ -19,10 +19,9 @@ import numpy as np
 from bidexdata.formats.diversity import DiversityTally
 from bidexdata.formats.groups import BOUNDED, GroupTally, hands_label
 from bidexdata.record import GraspBatch, Status
+from bidexdata.record.fields import HEADLINE
 from bidexdata.record.rates import Rate, clustered_interval
 from bidexdata.wording import counted
-
-METRIC_MEANS = ("pd", "spd", "cdc")
 
 
 class Tally:
@@ -34,6 +33,7 @@ class Tally:
     def __init__(self, tests: tuple[str, ...] = ("f",)):
         self.tests = tests
         self._scenes: dict[tuple[str, str], tuple[str, int]] = {}
+        self._kept_of: set[str] = set()  # scenes with a selected row
         self._rows: Counter[str] = Counter()
         self._attempts: Counter[str] = Counter()
         self._verdicts: dict[str, Counter[str]] = {t: Counter() for t in tests}
@@ -64,6 +64,7 @@ class Tally:
         verdicts = verdicts or {}
         selected, audit = _flags(batch)
         touched, new = self._note_scenes(batch, run)
+        self._kept_of.update(np.unique(batch["scene_id"][selected]).tolist())
         self._diversity[None].add(batch, selected)
         for size in sorted(set(touched.values())):
             self._diversity[size].add(batch, selected & (batch["size_mm"] == size))
@@ -134,6 +135,10 @@ class Tally:
                 },
             }
         return out
+
+    def without_grasp(self) -> list[str]:
+        """Scenes that no grasp was kept of, sorted."""
+        return sorted({scene for _, scene in self._scenes} - self._kept_of)
 
     def groups(self, test: str, by: str) -> dict[str, Any]:
         """Figures of every group of the selected rows of a test; see `GroupTally.groups`."""
@@ -227,7 +232,7 @@ def _passed(batch: GraspBatch, verdict: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def _means(metrics: Mapping[str, Any]) -> dict[str, float | None]:
-    return {name: metrics[name]["mean"] if name in metrics else None for name in METRIC_MEANS}
+    return {name: metrics[name]["mean"] if name in metrics else None for name in HEADLINE}
 
 
 def _number(mask: np.ndarray) -> int:

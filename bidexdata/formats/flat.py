@@ -12,20 +12,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bidexdata.formats.tables import METRICS, of_first_test
+from bidexdata.formats.tables import of_first_test
 from bidexdata.record import FIELDS, Field, Status
 from bidexdata.record.batch import fill_value
-from bidexdata.record.fields import TESTS, columns_of_table, columns_written_by
+from bidexdata.record.fields import ANALYTIC, MEASURED, TESTS, columns_of_table, columns_written_by
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-MEASURED = (*METRICS, "q1", "qp_certificate")
-"""Verdict columns that are measured at the grasp and do not depend on the test; a row's are from the
-first test that was run on it."""
+OF_GRASP = (*MEASURED, *ANALYTIC)
+"""Verdict columns that do not depend on the test; a row's are from the first test that was run on
+it."""
 GRASP = tuple(n for n in columns_of_table("grasps") if not FIELDS[n].axes)
 PER_TEST = tuple(
-    n for n in columns_written_by("validate") if not FIELDS[n].axes and n not in MEASURED
+    n for n in columns_written_by("validate") if not FIELDS[n].axes and n not in OF_GRASP
 )
 
 
@@ -58,7 +58,7 @@ def flat_columns() -> list[FlatColumn]:
         for test in TESTS
         for name in PER_TEST
     ]
-    measured = [FlatColumn(name, FIELDS[name]) for name in MEASURED if name in FIELDS]
+    measured = [FlatColumn(name, FIELDS[name]) for name in OF_GRASP if name in FIELDS]
     return [*(FlatColumn(name, FIELDS[name]) for name in GRASP), *tests, *measured]
 
 

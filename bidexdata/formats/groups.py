@@ -16,6 +16,7 @@ import numpy as np
 
 from bidexdata.record import FIELDS, Header, Status
 from bidexdata.record.batch import fill_value
+from bidexdata.record.fields import METRICS
 from bidexdata.record.means import mean_interval
 from bidexdata.record.moments import NOTHING, Moments, moments_of_runs
 from bidexdata.record.rates import clustered_interval
@@ -24,11 +25,6 @@ BY = ("object", "size", "hand", "status")
 """What grasps can be grouped by."""
 BOUNDED = ("size", "hand", "status")
 """Groupings of which there are few groups however large the set: these go into manifest and card."""
-METRICS = (
-    *("pd", "spd", "cdc", "contact_number", "contact_distance", "load_margin", "q1"),
-    *("qp_certificate", "drift_pos", "drift_rot", "time"),
-)
-"""The verdict columns that measure something. None is negative."""
 
 
 class Cell(NamedTuple):

@@ -39,7 +39,7 @@ def write_hand(root: Path, hand: Hand) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     spec = hand.make_spec()
     model = spec.compile()
-    tree = {k: _plain(v) for k, v in _fields(hand).items()}
+    tree = {k: _plain(v) for k, v in tree_of(hand).items()}
     tree["assets"] = _asset_hashes(spec, model)
     (folder / "hand.xml").write_text(_portable_xml(spec.to_xml()), encoding="utf-8")
     (folder / "tree.json").write_text(canonical_json(tree) + "\n", encoding="utf-8")
@@ -100,7 +100,8 @@ def _about(axis: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.
     return np.eye(3) + s * k + (1 - c) * (k @ k)
 
 
-def _fields(hand: Hand) -> dict[str, Any]:
+def tree_of(hand: Hand) -> dict[str, Any]:
+    """What `tree.json` states of a hand, its assets left out; arrays are still arrays."""
     return {
         f.name: getattr(hand, f.name) for f in dataclasses.fields(hand) if f.name not in _NOT_DATA
     }

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from math import pi
 from typing import Any, NamedTuple
 
+from bidexdata.record.fields import HEADLINE, METRICS, MOTION
+
 
 class Shown(NamedTuple):
     """How a metric is printed."""
@@ -23,13 +25,15 @@ SHOWN = {
     "cdc": Shown("CDC", "mm", 1000),
     "contact_number": Shown("contacts", digits=1),
     "contact_distance": Shown("contact distance", "mm", 1000),
-    "load_margin": Shown("load margin"),
     "q1": Shown("Q1", digits=4),
     "qp_certificate": Shown("QP certificate", digits=4),
+    "load_margin": Shown("load margin"),
     "drift_pos": Shown("drift", "mm", 1000, 1),
     "drift_rot": Shown("drift", "deg", 180 / pi, 1),
     "time": Shown("time", "s"),
 }
+BLOCKS = (HEADLINE, tuple(m for m in METRICS if m not in (*HEADLINE, *MOTION)), MOTION)
+"""Metrics that stand side by side: all in one table would be wider than a terminal."""
 
 
 def metric_head(name: str) -> str:

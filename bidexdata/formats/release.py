@@ -101,8 +101,13 @@ class Release:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """Counts, rates and means as the card states them."""
+        """Counts, rates and means of the default protocol, as the card states them."""
         return self.manifest["figures"]
+
+    @property
+    def other_figures(self) -> dict[str, Any]:
+        """The same of every other protocol, by name; a release of an older version has none."""
+        return self.manifest.get("other_figures", {})
 
     @property
     def configurations(self) -> tuple[str, ...]:

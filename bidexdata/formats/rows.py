@@ -12,7 +12,6 @@ from bidexdata.errors import NotUsable
 from bidexdata.formats.tables import (
     CONTACT_COLUMNS,
     GRASP_COLUMNS,
-    METRICS,
     SORTED_BY,
     VERDICT_COLUMNS,
     contacts_schema,
@@ -22,7 +21,7 @@ from bidexdata.formats.tables import (
 )
 from bidexdata.record import GraspBatch, Header, Status
 from bidexdata.record.batch import BadRecord, empty_columns
-from bidexdata.record.fields import TESTS
+from bidexdata.record.fields import MEASURED, TESTS
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -133,7 +132,7 @@ def grasps_table(rows: ObjectRows, protocol: str) -> pa.Table:
         columns[f"suc_{test}"] = pa.array(success, pa.bool_(), mask=~tested)
     keys = [(protocol, test) for test in TESTS if (protocol, test) in rows.verdicts]
     tests = [(rows.verdicts[key], rows.tested[key]) for key in keys]
-    for name in METRICS:
+    for name in MEASURED:
         columns[name] = pa.array(of_first_test(name, n, tests))
     return pa.Table.from_arrays([_array(columns[f.name]) for f in schema], schema=schema)
 

@@ -13,6 +13,7 @@ from bidexdata.formats import parquet, tables
 from bidexdata.formats.clouds import CLOUDS
 from bidexdata.formats.hand_files import hand_folder, header_of
 from bidexdata.formats.object_table import shape_hash
+from bidexdata.formats.verdict_rows import verdict_rows
 from bidexdata.record import Header
 from bidexdata.wording import counted
 
@@ -111,6 +112,16 @@ def rates(release: Release) -> str:
                 raise Contradiction(
                     f"{k} {configuration} rows pass test {test}, the manifest says "
                     f"{stated[kind]['k']}"
+                )
+    for protocol, figures in release.other_figures.items():
+        for test, stated in figures["tests"].items():
+            if (protocol, test) not in release.protocols:
+                continue
+            k = sum(int(rows.passed.sum()) for rows in verdict_rows(release, protocol, test))
+            if k != stated["selected"]["k"]:
+                raise Contradiction(
+                    f"{k} selected rows pass test {test} of {protocol}, the manifest says "
+                    f"{stated['selected']['k']}"
                 )
     return "successes per configuration are those of the manifest"
 

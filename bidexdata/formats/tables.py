@@ -14,14 +14,11 @@ import numpy as np
 
 from bidexdata.record import FIELDS, Field, Header
 from bidexdata.record.batch import arrow_schema, field_metadata, fill_value
-from bidexdata.record.fields import TESTS, columns_of_table, columns_written_by
+from bidexdata.record.fields import MEASURED, TESTS, columns_of_table, columns_written_by
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-METRICS = ("pd", "spd", "cdc", "contact_number", "contact_distance")
-"""Metrics of the default protocol, repeated in the grasps table from its verdict tables: each row's
-from the first test that was run on it."""
 CONFIGURATIONS = ("selected", "audit")
 SORTED_BY = ("object_id", "size_mm", "scene_id", "grasp_id")
 """Order of the rows in the grasps, contacts and verdict tables."""
@@ -86,13 +83,17 @@ VERDICT_COLUMNS = columns_written_by("validate")
 
 
 def grasps_schema(header: Header) -> pa.Schema:
-    """Schema of the grasps table: the record's columns, the run, verdicts and metrics."""
+    """Schema of the grasps table: the record's columns, the run, verdicts and metrics.
+
+    The metrics are those of the default protocol, repeated from its verdict tables: each row's from
+    the first test that was run on it.
+    """
     import pyarrow as pa
 
     schema = arrow_schema(header, GRASP_COLUMNS)
     for extra in GRASP_EXTRAS:
         schema = schema.append(_arrow_field(extra))
-    metrics = arrow_schema(header, METRICS)
+    metrics = arrow_schema(header, MEASURED)
     return pa.schema([*schema, *metrics], metadata=schema.metadata)
 
 

@@ -63,7 +63,7 @@ class ReleaseSummary:
 
     path: Path
     figures: dict[str, Any]
-    """Counts, rates and means, the same as in the manifest and the card."""
+    """Counts, rates and means of the default protocol, as in the manifest and the card."""
 
 
 def write_release(
@@ -141,12 +141,13 @@ def write_release(
         "splits": [[s, sum(1 for v in splits.values() if v == s)] for s in SPLITS],
         "split": {"by": "object", "seed": seed, "test_fraction": test_fraction},
         "cloud_points": cloud_points,
-        "figures": figures,
+        "figures": figures.pop(default_protocol),
+        "other_figures": figures,
     }
     write_card(partial, head)
     write_manifest(partial, head)
     _put_in_place(partial, out)
-    return ReleaseSummary(out, figures)
+    return ReleaseSummary(out, head["figures"])
 
 
 def check_names(out: Path, name: str, version: str, form: str) -> None:
@@ -212,9 +213,12 @@ def _write_rows(
     splits: dict[str, str],
     on_object: Callable[[str], None] | None,
 ) -> dict[str, Any]:
-    """Write grasps, contacts, verdicts and scenes; give the figures."""
+    """Write grasps, contacts, verdicts and scenes; give the figures of every protocol."""
     wanted = {run.name: run.grasps for run in runs}
-    tally = Tally(tuple(t for t in TESTS if (protocol, t) in tests) or ("f",))
+    tallies = {
+        name: Tally(tuple(t for t in TESTS if (name, t) in tests) or ("f",))
+        for name in sorted({protocol, *(p for p, _ in tests)})
+    }
     writers = {
         (configuration, split): _ConfigurationWriter(root, configuration, split, header, tests)
         for configuration in CONFIGURATIONS
@@ -228,8 +232,9 @@ def _write_rows(
             raise NotUsable(f"rows of run {unknown[0]!r}, which is not among the runs given")
         rows = join_rows(object_id, parts, header, tests)
         for part in parts:
-            verdicts = {t: v for (p, t), v in part.verdicts.items() if p == protocol}
-            tally.add(part.batch, verdicts, run=part.run, grasps=wanted[part.run])
+            for name, tally in tallies.items():
+                verdicts = {t: v for (p, t), v in part.verdicts.items() if p == name}
+                tally.add(part.batch, verdicts, run=part.run, grasps=wanted[part.run])
         scenes += scene_rows(object_id, splits[object_id], parts, rows, wanted)
         for configuration in CONFIGURATIONS:
             writers[configuration, splits[object_id]].add(rows, protocol)
@@ -239,7 +244,7 @@ def _write_rows(
         writer.close()
     table = scenes_table(scenes)
     parquet.write_table(root / "scenes.parquet", table, ("object_id", "size_mm", "scene_id"))
-    return tally.figures()
+    return {name: tally.figures() for name, tally in tallies.items()}
 
 
 class _ConfigurationWriter:

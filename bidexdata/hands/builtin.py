@@ -113,7 +113,7 @@ def read_links(path: str | Path) -> LinkFile:
         PathNotFound: The file does not exist.
         BadConfig: It is no list of links.
     """
-    return from_plain(LinkFile, load_yaml(path), f"link list {Path(path).name}")
+    return from_plain(LinkFile, load_yaml(path), f"link list {Path(path).name}:")
 
 
 def build_hand(links: LinkFile, side: Side, prefix: str) -> mujoco.MjSpec:

@@ -177,4 +177,4 @@ def read_spec(path: str | Path) -> HandSpec:
     missing = {f.name for f in fields(HandSpec)} - set(data) - {"exclude_contacts", "spheres"}
     if missing:
         raise BadConfig(f"{where} lacks {', '.join(sorted(missing))}")
-    return from_plain(HandSpec, data, where)
+    return from_plain(HandSpec, data, f"{where}:")

@@ -63,7 +63,7 @@ def contact_sheet(
     columns = max(
         1, min(columns or default_columns(len(tiles), width / max(height, 1)), max(len(tiles), 1))
     )
-    lines = max((1 + len(t.caption.lines) for t in tiles), default=0)
+    lines = max((len(_rows(t.caption, width)) for t in tiles), default=0)
     cell = height + lines * _STEP + 2 * GAP
     rows = -(-len(tiles) // columns)
     size = (
@@ -85,11 +85,11 @@ def contact_sheet(
 
 
 def captioned(pixels: Pixels, caption: Caption) -> Pixels:
-    """One picture with its words below it, (h + lines, w, 3)."""
+    """One picture with its words below it, (h + lines, w, 3); lines that are too long are wrapped."""
     from PIL import Image, ImageDraw
 
     height, width = pixels.shape[:2]
-    words = (1 + len(caption.lines)) * _STEP + GAP
+    words = len(_rows(caption, width - GAP)) * _STEP + GAP
     page = Image.new("RGB", (width, height + words), PAPER)
     page.paste(Image.fromarray(pixels), (0, 0))
     _write(ImageDraw.Draw(page), caption, GAP // 2, height + 4, width - GAP)
@@ -104,6 +104,21 @@ def default_columns(count: int, aspect: float) -> int:
         aspect: Width over height of one.
     """
     return max(1, round(float(np.sqrt(1.8 * count / aspect))))
+
+
+def wrapped(text: str, width: int, size: int = TEXT) -> tuple[str, ...]:
+    """Cut a line between words into lines of at most `width` pixels; see `fitted` for longer words."""
+    font = _font(size)
+    if font.getlength(text) <= width:
+        return (text,)
+    lines: list[str] = []
+    for word in text.split():
+        longer = f"{lines[-1]} {word}" if lines else word
+        if lines and font.getlength(longer) <= width:
+            lines[-1] = longer
+        else:
+            lines.append(fitted(word, width, size))
+    return tuple(lines)
 
 
 def fitted(text: str, width: int, size: int) -> str:
@@ -146,10 +161,18 @@ def save_animation(frames: Sequence[Image], path: Path) -> None:
 
 
 def _write(draw: ImageDraw, caption: Caption, x: int, y: int, width: int) -> None:
+    for number, (line, colour) in enumerate(_rows(caption, width)):
+        draw.text((x, y + number * _STEP), line, colour, _font(TEXT))
+
+
+def _rows(caption: Caption, width: int) -> list[tuple[str, tuple[int, int, int]]]:
+    """The lines of a caption as they are drawn, and their colours."""
     plain = 1 + len(caption.lines) - len(caption.good)
+    found = []
     for number, line in enumerate((caption.head, *caption.lines)):
         colour = _ink(number, caption.good[number - plain] if number >= plain else None)
-        draw.text((x, y + number * _STEP), fitted(line, width, TEXT), colour, _font(TEXT))
+        found += [(part, colour) for part in wrapped(line, width)]
+    return found
 
 
 def _ink(number: int, good: bool | None) -> tuple[int, int, int]:

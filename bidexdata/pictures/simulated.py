@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
 
+WIDTH = 480
+"""Width of a picture of a simulation [pixels]."""
 _POINTS_PER_POSE = 500  # enough to place a camera
 
 
@@ -138,7 +140,7 @@ def simulation_frames(
     camera: Camera,
     *,
     table: bool = False,
-    width: int = 480,
+    width: int = WIDTH,
     height: int = 360,
     samples: int = 2,
     surface: Surface = "mesh",

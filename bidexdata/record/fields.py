@@ -23,6 +23,19 @@ JUDGED = ("f", "l")
 ON_TABLE = ("l",)
 """Those of them whose scene has the table, so that rows must be of tabletop scenes."""
 
+HEADLINE = ("pd", "spd", "cdc")
+"""Metrics that stand for all where there is room for few."""
+MEASURED = (*HEADLINE, "contact_number", "contact_distance")
+"""Metrics that every validation measures: at the grasp, whatever the test."""
+ANALYTIC = ("q1", "qp_certificate")
+"""Metrics of the grasp that are computed when asked for."""
+MOTION = ("drift_pos", "drift_rot", "time")
+"""How the object moved in the test."""
+OF_TEST = ("load_margin", *MOTION)
+"""Metrics that depend on the test."""
+METRICS = (*MEASURED, *ANALYTIC, *OF_TEST)
+"""The columns written by `validate` that measure something. None is negative."""
+
 Dtype = Literal["string", "bool", "int8", "int16", "int32", "int64", "float32"]
 Table = Literal["grasps", "contacts", "verdicts", "arms", "objects", "scenes", "runs"]
 

@@ -29,10 +29,10 @@ def chosen_protocol(
         UnknownName: There are no verdicts of this protocol.
         NotUsable: There is no saying which protocol is meant.
     """
+    tests = tuple(tests)
+    check_protocol(tests, asked)
     known = sorted({protocol for protocol, _ in tests})
     if asked is not None:
-        if asked not in known:
-            raise UnknownName("protocol with verdicts here", asked, known)
         return asked
     if default in known or not known:
         return default if known else ""
@@ -42,3 +42,14 @@ def chosen_protocol(
             f"{', '.join(known)}"
         )
     return known[0]
+
+
+def check_protocol(tests: Iterable[tuple[str, str]], asked: str | None) -> None:
+    """Refuse to go on with a protocol that there are no verdicts of; None asks for none.
+
+    Raises:
+        UnknownName: It is not among those of `tests`.
+    """
+    known = sorted({protocol for protocol, _ in tests})
+    if asked is not None and asked not in known:
+        raise UnknownName("protocol with verdicts here", asked, known)

@@ -13,7 +13,7 @@ from bidexdata.runs.pack import PackReport, pack_runs
 from bidexdata.runs.prepare import PrepareReport, prepare_library
 from bidexdata.runs.render import RenderReport, render
 from bidexdata.runs.run import Run
-from bidexdata.runs.stage import Execution, StageReport
+from bidexdata.runs.stage import StageReport, TaskExecution
 from bidexdata.runs.synth import SynthRequest, synth_library
 from bidexdata.runs.validate import validate_run
 
@@ -32,7 +32,7 @@ class Demo:
     """What the pipeline is to make, and where."""
 
     out: Path
-    execution: Execution
+    execution: TaskExecution
     grasps: int = GRASPS
     sources: str = SOURCES
     sizes_mm: tuple[int, ...] = SIZES_MM
@@ -82,7 +82,7 @@ class DemoReport:
 def run_demo(
     out: Path,
     *,
-    execution: Execution | None = None,
+    execution: TaskExecution | None = None,
     grasps: int = GRASPS,
     sources: str = SOURCES,
     sizes_mm: tuple[int, ...] = SIZES_MM,
@@ -100,7 +100,7 @@ def run_demo(
         sizes_mm: Sizes.
         say: Takes a line before each stage.
     """
-    demo = Demo(out, execution or Execution(), grasps, sources, sizes_mm)
+    demo = Demo(out, execution or TaskExecution(), grasps, sources, sizes_mm)
     made, seconds = {}, {}
     for stage in stages_of(demo):
         say(stage.sentence)

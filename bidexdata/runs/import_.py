@@ -46,7 +46,7 @@ from bidexdata.runs.spec import (
     read_spec,
     write_spec,
 )
-from bidexdata.runs.stage import Execution, StageReport, TaskSummary, run_stage
+from bidexdata.runs.stage import StageReport, TaskExecution, TaskSummary, run_stage
 
 if TYPE_CHECKING:
     from bidexdata.formats.importers.format import Format, ObjectSource, Placed
@@ -105,7 +105,7 @@ class ImportReport:
 
 
 def import_run(
-    request: ImportRequest, out: str | Path, *, execution: Execution | None = None
+    request: ImportRequest, out: str | Path, *, execution: TaskExecution | None = None
 ) -> ImportReport:
     """Import the grasps below a folder, or go on where an import stopped.
 
@@ -126,7 +126,7 @@ def import_run(
     from bidexdata.formats.importers.rows import joint_orders
 
     start, out = time.monotonic(), Path(out)
-    execution = execution or Execution()
+    execution = execution or TaskExecution()
     form = load_format(request.format)
     names = _file_names(form, request)
     hands = _load_hands(form, request.hand)

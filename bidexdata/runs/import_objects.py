@@ -18,7 +18,7 @@ from bidexdata.runs.import_scan import MEMORY_GIB, FileRow
 from bidexdata.runs.memory import limit_memory
 from bidexdata.runs.object_folders import index_columns, is_made, remove_partials
 from bidexdata.runs.progress import Progress
-from bidexdata.runs.stage import Execution
+from bidexdata.runs.stage import TaskExecution
 
 if TYPE_CHECKING:
     from bidexdata.formats.importers.format import Format, ObjectSource
@@ -52,7 +52,7 @@ def make_objects(
     files: Sequence[FileRow],
     sources: Mapping[str, ObjectSource],
     library: Path,
-    execution: Execution,
+    execution: TaskExecution,
 ) -> tuple[list[FileRow], list[dict[str, Any]]]:
     """Make the objects that are not there yet, and the library's index; files without one fail."""
     ids = sorted(sources)

@@ -21,7 +21,7 @@ from bidexdata.runs.shards import write_atomically
 if TYPE_CHECKING:
     from bidexdata.formats.importers.format import ForeignGrasps, Format
     from bidexdata.formats.importers.rows import Placed
-    from bidexdata.runs.stage import Execution
+    from bidexdata.runs.stage import TaskExecution
 
 FILES = "files.parquet"
 """Of an imported run: one row per file."""
@@ -60,7 +60,7 @@ class FileRow(NamedTuple):
         return self._replace(rows=0, left_out=self.left_out + self.rows, reason=reason)
 
 
-def scan(form: Format, root: Path, names: Sequence[str], execution: Execution) -> list[FileRow]:
+def scan(form: Format, root: Path, names: Sequence[str], execution: TaskExecution) -> list[FileRow]:
     """Read every file once; the result is in the order of `names`."""
     chunks = [tuple(names[i : i + _CHUNK]) for i in range(0, len(names), _CHUNK)]
     found: dict[str, FileRow] = {}
@@ -134,7 +134,7 @@ def read_files(run: Path, object_id: str | None = None) -> list[FileRow]:
 
 
 def _read_all(
-    form: Format, root: Path, chunks: Sequence[tuple[str, ...]], execution: Execution
+    form: Format, root: Path, chunks: Sequence[tuple[str, ...]], execution: TaskExecution
 ) -> Iterable[tuple[tuple[str, ...], list[FileRow]]]:
     """Read chunk by chunk; a chunk that ended its worker is read again file by file."""
     work = partial(_scan_chunk, form.name, str(root))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bidexdata.errors import NotUsable, UnknownName
 from bidexdata.kinds import expect_kind
 from bidexdata.record import Status
+from bidexdata.runs.chosen import check_protocol
 from bidexdata.runs.finished import Finished
 from bidexdata.runs.pack import count_tested, rows_of_object
 from bidexdata.runs.run import Run
@@ -20,17 +22,21 @@ if TYPE_CHECKING:
     from bidexdata.objects.library import Library
 
 
-def describe(path: str | Path, by: str | None = None) -> dict[str, Any]:
+def describe(
+    path: str | Path, by: str | None = None, protocol: str | None = None
+) -> dict[str, Any]:
     """Describe a library, a run or a release as plain data (the keys of `info --json`).
 
     Args:
         path: What to describe.
         by: A grouping of `formats.groups.BY`: gives the figures of its groups too, as `groups`
             (protocol, test, group).
+        protocol: Whose figures and groups; when omitted the figures of a release's default
+            protocol, or of all that a run has verdicts of, and the groups of all.
 
     Raises:
         PathNotFound: There is none of the three.
-        UnknownName: There is no such grouping.
+        UnknownName: There is no such grouping, or there are no verdicts of this protocol.
         NotUsable: A library, which holds no grasps, is to be grouped.
         Contradiction: It is damaged.
     """
@@ -42,9 +48,10 @@ def describe(path: str | Path, by: str | None = None) -> dict[str, Any]:
         raise UnknownName("grouping", by, BY)
     kind = expect_kind(path, "library", "run", "release")
     if kind == "release":
-        return describe_release(Release.open(path), by)
+        return describe_release(Release.open(path), by, protocol)
     if kind == "run":
-        return describe_run(Run.open(path), by)
+        return describe_run(Run.open(path), by, protocol)
+    check_protocol((), protocol)
     if by is not None:
         raise NotUsable(f"{path} is a library: it holds no grasps that --by {by} could group")
     return describe_library(Library.open(path))
@@ -68,13 +75,14 @@ def describe_library(library: Library) -> dict[str, Any]:
     }
 
 
-def describe_run(run: Run, by: str | None = None) -> dict[str, Any]:
+def describe_run(run: Run, by: str | None = None, protocol: str | None = None) -> dict[str, Any]:
     """Progress per stage, and figures per protocol over all finished rows; groups if asked for."""
     spec, finished = run.spec, Finished.of(run)
+    check_protocol(finished.tests, protocol)
     stages = {run.stage_folder("rows").name: len(finished.rows)}
-    for (protocol, test), tasks in finished.verdicts.items():
-        stages[f"validate/{protocol}/{test}"] = len(tasks)
-    protocols = sorted({p for p, _ in finished.tests}) or [""]
+    for (name, test), tasks in finished.verdicts.items():
+        stages[f"validate/{name}/{test}"] = len(tasks)
+    protocols = [protocol] if protocol else sorted({p for p, _ in finished.tests}) or [""]
     tallies = {p: run_tally(run, finished, p) for p in protocols}
     figures = {p: run_figures(run, finished, p, *counted) for p, counted in tallies.items()}
     groups = {
@@ -92,6 +100,7 @@ def describe_run(run: Run, by: str | None = None) -> dict[str, Any]:
         **_imported(run),
         "rest_poses": spec.rest_poses,
         "without_scene": list(spec.without_scene),
+        "without_grasp": tallies[protocols[0]][0].without_grasp(),
         "sizes_mm": list(spec.sizes_mm),
         "grasps": spec.grasps,
         "candidates": spec.candidates,
@@ -168,8 +177,24 @@ def run_tally(run: Run, finished: Finished, protocol: str) -> tuple[Tally, int]:
     return tally, untested
 
 
-def describe_release(release: Release, by: str | None = None) -> dict[str, Any]:
-    """Name, version and the figures that the manifest states; groups, if asked for, of the rows."""
+def describe_release(
+    release: Release, by: str | None = None, protocol: str | None = None
+) -> dict[str, Any]:
+    """Name, version and the figures that the manifest states; groups, if asked for, of the rows.
+
+    Raises:
+        UnknownName: There are no verdicts of this protocol.
+        NotUsable: The manifest, of an older version, states no figures of it.
+    """
+    check_protocol(release.protocols, protocol)
+    name = protocol or release.default_protocol
+    every = {**release.other_figures, release.default_protocol: release.figures}
+    if name not in every:
+        raise NotUsable(
+            f"{release.path} states the figures of {', '.join(every)} only; pack its runs again "
+            f"for those of {name}"
+        )
+    tests = [(p, t) for p, t in release.protocols if protocol in (None, p)]
     return {
         "kind": "release",
         "path": str(release.path),
@@ -180,12 +205,13 @@ def describe_release(release: Release, by: str | None = None) -> dict[str, Any]:
         "tests": [list(t) for t in release.protocols],
         "splits": {name: len(ids) for name, ids in release.splits.items()},
         "hands": [f"{h.name} ({h.side})" for h in release.hands],
-        "figures": release.figures,
-        **({"by": by, "groups": release_groups(release, by)} if by else {}),
+        "protocol": name,
+        "figures": every[name],
+        **({"by": by, "groups": release_groups(release, by, tests)} if by else {}),
     }
 
 
-def release_groups(release: Release, by: str) -> dict[str, Any]:
+def release_groups(release: Release, by: str, tests: Iterable[tuple[str, str]]) -> dict[str, Any]:
     """Figures of every group per protocol and test, from the selected rows, row group by row group.
 
     The manifest states those of few groups only, and only of the default protocol.
@@ -194,7 +220,7 @@ def release_groups(release: Release, by: str) -> dict[str, Any]:
     from bidexdata.formats.verdict_rows import verdict_rows
 
     found: dict[str, Any] = {}
-    for protocol, test in release.protocols:
+    for protocol, test in tests:
         tally = GroupTally()
         for rows in verdict_rows(release, protocol, test):
             tally.add(

@@ -8,7 +8,7 @@ import time
 from io import TextIOBase
 from typing import Any
 
-from bidexdata.wording import counted
+from bidexdata.wording import counted, duration
 
 PLAIN_INTERVAL = 10.0
 """Seconds between lines where standard error is no terminal."""
@@ -98,9 +98,9 @@ class Progress:
             rate = fresh / seconds
             parts.append(_rate(rate, self._nouns))
             if self.done < self.total:
-                parts.append(f"{_duration((self.total - self.done) / rate)} left")
+                parts.append(f"{duration((self.total - self.done) / rate)} left")
             else:
-                parts.append(f"in {_duration(seconds)}")
+                parts.append(f"in {duration(seconds)}")
         if self._note:
             parts.append(self._note)
         return ", ".join(parts)
@@ -128,12 +128,3 @@ def _rate(per_second: float, unit: str) -> str:
     if per_second * 60 >= 1:
         return f"{per_second * 60:.1f} {unit}/min"
     return f"{per_second * 3600:.1f} {unit}/h"
-
-
-def _duration(seconds: float) -> str:
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"

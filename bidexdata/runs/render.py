@@ -129,7 +129,7 @@ def render(
         shown = tuple(str(s.batch["grasp_id"][s.row]) for s in chosen)
         frames = _grasp_frames(source, chosen, views, device, video=video, quiet=quiet)
     sides = chosen[0].batch.header.hands if chosen else ()
-    title = _title(source, only, [h.side for h in sides])
+    title = sheet_title(source, only, [h.side for h in sides])
     if not shown:
         raise NotUsable(f"{path}: nothing to draw{f' with --only {only}' if only else ''}")
     sheets = [contact_sheet(tiles, title=title, footer=footer) for tiles in frames]
@@ -276,7 +276,8 @@ def _check(out: Path, source: Browsable, *, only: Only | None, count: int, video
         )
 
 
-def _title(source: Browsable, only: Only | None, sides: Sequence[str]) -> str:
+def sheet_title(source: Browsable, only: Only | None, sides: Sequence[str]) -> str:
+    """Say what a sheet shows: whose grasps, chosen by what, and which hand has which colour."""
     from bidexdata.pictures.drawing import HAND_COLOUR_NAMES
 
     what = {"success": "grasps that passed", "failure": "grasps that failed", None: "grasps"}[only]

@@ -177,8 +177,8 @@ def _draw(
 ) -> int:
     """Film a test and give the number of pictures in the file."""
     from bidexdata.pictures.captions import outcome_words
-    from bidexdata.pictures.sheet import Caption
-    from bidexdata.pictures.simulated import simulation_camera, simulation_frames
+    from bidexdata.pictures.sheet import GAP, Caption, wrapped
+    from bidexdata.pictures.simulated import WIDTH, simulation_camera, simulation_frames
     from bidexdata.pictures.video import save_video
     from bidexdata.simulation.assembly import TABLE_GEOM
 
@@ -190,12 +190,15 @@ def _draw(
     head = f"{batch['object_id'][0]}  {batch['size_mm'][0]} mm  {batch['grasp_id'][0]}"
     passed = verdict.status is Status.OK
     outcome = outcome_words(test, verdict.status, verdict.direction)
+    # All pictures have as many lines as the last, which alone tells the outcome.
+    told = wrapped(outcome, WIDTH - GAP)
 
     def captions():
         for moment in moments:
             last = moment is moments[-1]
             words = f"{moment.time:5.2f} s  {moment.phase}"
-            yield Caption(head, (words, outcome if last else ""), (passed if last else None,))
+            lines = told if last else ("",) * len(told)
+            yield Caption(head, (words, *lines), (passed if last else None,) * len(told))
 
     def frames():
         shown = zip((m.pose for m in moments), captions(), strict=True)

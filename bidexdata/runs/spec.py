@@ -147,7 +147,7 @@ def read_spec(folder: Path) -> RunSpec:
         )
     known = {f.name for f in dataclasses.fields(RunSpec)}
     try:
-        spec = from_plain(RunSpec, {k: v for k, v in data.items() if k in known}, str(path))
+        spec = from_plain(RunSpec, {k: v for k, v in data.items() if k in known}, "")
     except BidexError as err:
         raise Contradiction(f"{path}: damaged run header ({err})") from err
     if spec.fingerprint != stated:

@@ -15,7 +15,7 @@ from bidexdata.runs.progress import Progress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Execution:
+class TaskExecution:
     """Where and how a command runs; nothing here changes a result."""
 
     executor: str = "processes"
@@ -38,6 +38,8 @@ class TaskSummary:
     good: int
     """Rows that succeeded."""
     by_status: dict[str, int]
+    without_grasp: tuple[str, ...] = ()
+    """Scenes of the task that it kept no grasp of."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +54,7 @@ class StageReport:
     rows: int = 0
     good: int = 0
     by_status: dict[str, int] = field(default_factory=dict)
+    without_grasp: tuple[str, ...] = ()
     seconds: float = 0.0
 
     @property
@@ -67,7 +70,7 @@ def run_stage(
     *,
     unit: str,
     logs: Path,
-    execution: Execution,
+    execution: TaskExecution,
 ) -> StageReport:
     """Run the tasks that are not done yet.
 
@@ -86,6 +89,7 @@ def run_stage(
     failures: list[TaskFailure] = []
     rows = good = 0
     by_status: Counter[str] = Counter()
+    without: list[str] = []
     logger = log_to(logs)
     before = len(tasks) - len(open_tasks)
     with Progress(len(tasks), unit, quiet=execution.quiet, already=before) as progress:
@@ -102,6 +106,7 @@ def run_stage(
                 rows += result.rows
                 good += result.good
                 by_status.update(result.by_status)
+                without += result.without_grasp
             progress.advance()
     return StageReport(
         tasks=len(tasks),
@@ -110,5 +115,6 @@ def run_stage(
         rows=rows,
         good=good,
         by_status=dict(by_status),
+        without_grasp=tuple(sorted(without)),
         seconds=time.monotonic() - start,
     )

@@ -39,7 +39,7 @@ from bidexdata.runs.spec import (
     relative_to_run,
     write_spec,
 )
-from bidexdata.runs.stage import Execution, StageReport, TaskSummary, run_stage
+from bidexdata.runs.stage import StageReport, TaskExecution, TaskSummary, run_stage
 
 if TYPE_CHECKING:
     from bidexdata.objects.library import Library
@@ -73,6 +73,9 @@ class SynthRequest:
         setting_of(self.setting)
         if not self.sizes_mm or any(not 10 <= mm <= 5000 for mm in self.sizes_mm):
             raise BadValue("--sizes: give sizes in metres between 0.01 and 5, such as 0.3,0.5")
+        twice = [mm for mm, n in Counter(self.sizes_mm).items() if n > 1]
+        if twice:
+            raise BadValue(f"--sizes: {twice[0] / 1000:g} is there more than once; give it once")
         if self.grasps is not None and not 1 <= self.grasps <= 10_000:
             raise BadValue(f"--grasps {self.grasps}: give a number from 1 to 10000")
         if self.candidates is not None and self.candidates < (self.grasps or 1):
@@ -90,7 +93,7 @@ def synth_library(
     out: str | Path,
     request: SynthRequest,
     *,
-    execution: Execution | None = None,
+    execution: TaskExecution | None = None,
     device: str = "cpu",
 ) -> StageReport:
     """Synthesise grasps for every object of a library, or go on where a run stopped.
@@ -103,7 +106,7 @@ def synth_library(
     """
     from bidexdata.objects.library import Library
 
-    execution = execution or Execution()
+    execution = execution or TaskExecution()
     if execution.executor != "ray":  # whose workers have devices of their own
         check_device(device)
     run = start_run(Library.open(library), Path(out), request)
@@ -154,7 +157,7 @@ def _wanted(library: Library, out: Path, request: SynthRequest, old: RunSpec | N
         config=to_plain(request.config),
         hand=portable_hand(request.hand, out),
         hands=tuple(h.header() for h in hands),
-        sizes_mm=tuple(sorted(set(request.sizes_mm))),
+        sizes_mm=tuple(sorted(request.sizes_mm)),
         setting=request.setting,
         rest_poses=_rest_poses(request),
         without_scene=_without_scene(library, request),
@@ -231,7 +234,9 @@ def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) ->
         "task %s: %d rows in %.1f s", task.task_id, len(batch), seconds
     )
     good = int((batch["selected"] & (batch["synth_status"] == Status.OK)).sum())
-    return TaskSummary(len(batch), good, dict(counts))
+    kept = set(batch["scene_id"][batch["selected"]].tolist())
+    without = tuple(s for s in task.scene_ids if s not in kept)
+    return TaskSummary(len(batch), good, dict(counts), without)
 
 
 def round_seed(seed: int, number: int) -> int:

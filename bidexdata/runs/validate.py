@@ -36,7 +36,7 @@ from bidexdata.runs.shards import (
     write_shard,
     write_text,
 )
-from bidexdata.runs.stage import Execution, StageReport, TaskSummary, run_stage
+from bidexdata.runs.stage import StageReport, TaskExecution, TaskSummary, run_stage
 
 if TYPE_CHECKING:
     from bidexdata.validation import stages
@@ -52,7 +52,7 @@ def validate_run(
     protocol: Protocol,
     tests: Sequence[str] = (),
     *,
-    execution: Execution | None = None,
+    execution: TaskExecution | None = None,
     extras: Sequence[Extra] = (),
     backend: Backend = "mujoco",
     device: str = "cpu",
@@ -85,7 +85,7 @@ def validate_run(
     from bidexdata.validation.protocols import require_own_name
 
     require_own_name(protocol)
-    execution = execution or Execution()
+    execution = execution or TaskExecution()
     check_backend(protocol, backend, device, _how(extras))
     protocol = on_backend(protocol, backend, device)
     if protocol.engine is not None:
@@ -112,7 +112,7 @@ def _how(extras: Sequence[Extra]) -> stages.Execution:
     )
 
 
-def _for_one_device(execution: Execution) -> Execution:
+def _for_one_device(execution: TaskExecution) -> TaskExecution:
     """Let one worker drive the device, unless the caller says how many.
 
     Raises:
@@ -161,7 +161,7 @@ def _run_test(
     protocol: Protocol,
     test: str,
     tasks: Sequence[Task],
-    execution: Execution,
+    execution: TaskExecution,
     extras: tuple[Extra, ...],
     device: str,
 ) -> StageReport:

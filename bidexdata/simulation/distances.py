@@ -101,7 +101,7 @@ def measure_distances(
         last_body_counts: The last body of the last hand takes part in self and inter-hand depths.
     """
     set_pose(scene, object_pos, object_quat, hand_pos, hand_quat, joints)
-    owners, geoms, dist, points, normals = _contacts(scene, reach, full_broad_phase)
+    owners, geoms, dist, points, normals = list_contacts(scene, reach, full_broad_phase)
     of_object = scene.object_owner
     with_object = (owners[:, 0] >= 0) & (owners[:, 1] == of_object)
     among_hands = (owners[:, 0] >= 0) & (owners[:, 1] < of_object)
@@ -184,7 +184,7 @@ def pregrasp_penetration(
     return PregraspDepths(*depths)
 
 
-def _contacts(
+def list_contacts(
     scene: SimScene, reach: float, full_broad_phase: bool
 ) -> tuple[NDArray, NDArray, FloatArray, FloatArray, FloatArray]:
     """List contacts of the state, the lower owner first.

@@ -98,12 +98,16 @@ class SceneSettings:
         optional = tuple(n for n in ("mass", "actuator_kp") if getattr(self, n) is not None)
         for name in positive + optional:
             if not getattr(self, name) > 0:
-                raise BadConfig(f"scene.{name} must be positive, not {getattr(self, name)!r}")
+                raise BadConfig(
+                    f"SceneSettings.{name} must be positive, not {getattr(self, name)!r}"
+                )
         for name in ("friction_slide", "friction_spin", "friction_roll", "noslip_iterations"):
             if not getattr(self, name) >= 0:
-                raise BadConfig(f"scene.{name} must not be negative, got {getattr(self, name)!r}")
+                raise BadConfig(
+                    f"SceneSettings.{name} must not be negative, got {getattr(self, name)!r}"
+                )
         if self.condim not in (1, 3, 4, 6):
-            raise BadConfig(f"scene.condim must be 1, 3, 4 or 6, not {self.condim!r}")
+            raise BadConfig(f"SceneSettings.condim must be 1, 3, 4 or 6, not {self.condim!r}")
 
     def density_of(self, solid: Solid, size: float) -> float:
         """Density [kg/m^3] of a solid at bounding-box diagonal `size` [m]."""

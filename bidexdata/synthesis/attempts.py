@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
-from bidexdata.frames import matrix_from_quat, quat_conjugate, quat_multiply
+from bidexdata.frames import matrix_from_quat
 from bidexdata.record import Scene, Status
 from bidexdata.synthesis.placement import place_palms
 from bidexdata.synthesis.regions import select_region_pairs
@@ -83,17 +83,16 @@ def draw_attempts(
     rng = np.random.default_rng([own, 1])
     placed = place_palms(obj, hands, scene, pairs, config.placement, rng, count, grown=grown)
     ok, pair = placed.ok, placed.pair_index
-    position, quat = _in_object_frame(scene, placed.hand_pos[ok], placed.hand_quat[ok])
     joints = [placed.joints[ok, h, : len(hand.joint_names)] for h, hand in enumerate(hands)]
     nearest_of = config.optimise.energy.region_distance
     regions = pairs.points if nearest_of == "points" else pairs.centres[:, :, None]
     start = Start(
-        size=np.full(len(position), scene.size),
-        position=position,
-        rotation=matrix_from_quat(quat),
+        size=np.full(ok.sum(), scene.size),
+        position=placed.hand_pos[ok],
+        rotation=matrix_from_quat(placed.hand_quat[ok]),
         joints=(joints[0], joints[1]),
         regions=regions[pair[ok]],
-        plane=np.tile(table_plane(scene), (len(position), 1)),
+        plane=np.tile(table_plane(scene), (ok.sum(), 1)),
     )
     return Attempts(
         scene=scene,
@@ -119,16 +118,6 @@ def gather_starts(attempts: Sequence[Attempts]) -> Start:
         regions=np.concatenate(regions),
         plane=np.concatenate([s.plane for s in starts]),
     )
-
-
-def _in_object_frame(
-    scene: Scene, position: np.ndarray, quat: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """World poses of hands as seen from the scene's object."""
-    q_object_world = quat_conjugate(np.array(scene.object_quat_wxyz))
-    offset = position - np.array(scene.object_pos)
-    turned = np.sum(matrix_from_quat(q_object_world) * offset[..., None, :], axis=-1)
-    return turned, quat_multiply(q_object_world, quat)
 
 
 def _without_start(hands: tuple[Hand, Hand], scene: Scene, seed: int, count: int) -> Attempts:

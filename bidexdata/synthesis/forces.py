@@ -37,14 +37,12 @@ def contact_forces(ws: Workspace, closure: ClosureConfig, iterations: int) -> Co
         docs/measurements.md, 6: the coupled residual predicts failure (AUC 0.87), per-hand ones do
         not.
     """
-    from bidexdata.synthesis.optimise import qp_config
-
     c = ws.contacts
     qp = allocate_contact_qp(
         ws.count, qp_groups(ws.contacts_per_hand, "mix"), zero_target(), device=ws.device
     )
     solve_contact_qp(
-        c.points, c.normals_in, ws.torque_length, qp, qp_config(closure), iterations=iterations
+        c.points, c.normals_in, ws.torque_length, qp, closure.qp, iterations=iterations
     )
     residual = qp.residual.numpy()[:, :, 0].astype(np.float64)
     forces = qp.forces.numpy()[:, 1, 0].astype(np.float64)

@@ -20,7 +20,7 @@ from bidexdata.frames import quat_from_matrix
 from bidexdata.synthesis import chain
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.workspace import Start, Workspace, allocate
-from bidexdata.wrench.qp import ContactQP, QPConfig, allocate_contact_qp, solve_contact_qp
+from bidexdata.wrench.qp import ContactQP, allocate_contact_qp, solve_contact_qp
 from bidexdata.wrench.qp_groups import axis_targets, qp_groups, zero_target
 
 if TYPE_CHECKING:
@@ -105,11 +105,6 @@ def torque_lengths(
     return np.maximum(closure.torque_length * longest * size, closure.least_torque_length)
 
 
-def qp_config(closure: ClosureConfig) -> QPConfig:
-    """The contact QP's constants."""
-    return QPConfig(mu=closure.friction, gamma=closure.gamma, cap=closure.cap, beta=closure.beta)
-
-
 def read_pose(ws: Workspace, hands: Sequence[Hand]) -> Pose:
     """Copy the hands' poses from the device."""
     joints = []
@@ -129,11 +124,11 @@ def read_pose(ws: Workspace, hands: Sequence[Hand]) -> Pose:
 def _approach(ws: Workspace, config: OptimiseConfig) -> None:
     """Phase 1: closure, distance, region; where to touch."""
     energy, closure, phase = config.energy, config.closure, config.approach
-    qp, weights = _closure_problem(ws, closure)
+    qp, weights = closure_problem(ws, closure)
     run = [*chain.kinematics(ws), *chain.surface(ws, energy)]
     for call in run:
         call()
-    constants = qp_config(closure)
+    constants = closure.qp
     c = ws.contacts
     solve_contact_qp(
         c.points,
@@ -189,7 +184,7 @@ def _iterate(
 def _evaluate(ws: Workspace, config: OptimiseConfig) -> Energies:
     """Surface under the pads and all energies of the state."""
     energy, closure = config.energy, config.closure
-    qp, _ = _closure_problem(ws, closure)
+    qp, _ = closure_problem(ws, closure)
     for call in [
         *chain.kinematics(ws),
         *chain.surface(ws, energy),
@@ -205,7 +200,7 @@ def _evaluate(ws: Workspace, config: OptimiseConfig) -> Energies:
         c.normals_in,
         ws.torque_length,
         qp,
-        qp_config(closure),
+        closure.qp,
         iterations=max(closure.start_iterations, 100),
     )
     real = np.zeros((2, c.centres.shape[1] // 2), bool)
@@ -231,7 +226,7 @@ def _evaluate(ws: Workspace, config: OptimiseConfig) -> Energies:
     )
 
 
-def _closure_problem(ws: Workspace, closure: ClosureConfig) -> tuple[ContactQP, Any]:
+def closure_problem(ws: Workspace, closure: ClosureConfig) -> tuple[ContactQP, Any]:
     """QPs of the configured contact groups, and the weight of each group."""
     import warp as wp
 

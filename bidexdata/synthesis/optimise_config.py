@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from bidexdata.errors import BadConfig
+from bidexdata.wrench.qp import LEAST_TORQUE_LENGTH, TORQUE_LENGTH, QPConfig
 
 Groups = Literal["decoupled", "coupled", "mix"]
 Disturbances = Literal["forces", "zero"]
@@ -38,19 +39,12 @@ class ClosureConfig:
     disturbances: Disturbances = "zero"
     """`forces`: six unit forces +-x, +-y, +-z (paper 3); `zero`: the zero wrench alone, which
     costs a quarter of the QP time at equal success (measurements, 3; again here)."""
-    friction: float = 0.3
-    """Friction coefficient of the cones [-]; half of the simulation's 0.6.
-    Measurements, 3: 0.1 / 0.3 / 0.6 give 88 / 86 / 85 %."""
-    beta: float = 0.2
-    """Scale of the disturbance wrenches in units of the cap [-]. BODex `k_lower`."""
-    gamma: float = 1.0
-    """Least sum of normal forces of each hand in units of the cap [-]. BODex, sum of five >= 1."""
-    cap: float = 1.0
-    """Largest normal force of one contact [-]. Paper, appendix A."""
-    torque_length: float = 0.5
+    qp: QPConfig = field(default_factory=QPConfig)
+    """The contact QP of all groups."""
+    torque_length: float = TORQUE_LENGTH
     """Length that makes torques comparable with forces, as a share of the object's longest side
     [-]. Measurements, 4; BODex uses half the diagonal."""
-    least_torque_length: float = 0.1
+    least_torque_length: float = LEAST_TORQUE_LENGTH
     """Lower bound of that length [m]. Measurements, 4."""
     iterations: int = 4
     """Projected-gradient iterations per optimiser step, warm started [-]. Measurements, 3: within
@@ -59,10 +53,8 @@ class ClosureConfig:
     """Iterations before the first step [-]. Measurements, 3."""
 
     def __post_init__(self) -> None:
-        for name in ("weight_decoupled", "weight_coupled", "beta", "gamma"):
+        for name in ("weight_decoupled", "weight_coupled"):
             refuse_outside(self, name, 0.0, 1e6)
-        refuse_outside(self, "friction", 1e-3, 10.0)
-        refuse_outside(self, "cap", 1e-6, 1e6)
         refuse_outside(self, "torque_length", 0.0, 10.0)
         refuse_outside(self, "least_torque_length", 1e-3, 10.0)
         refuse_outside(self, "iterations", 1, 10_000)

@@ -110,7 +110,7 @@ class PlacementConfig:
 
 
 class Placement(NamedTuple):
-    """Starts of M attempts; world frame."""
+    """Starts of M attempts; object frame."""
 
     pair_index: Int[np.ndarray, " M"]
     """Region pair of each attempt."""
@@ -172,12 +172,12 @@ def place_palms(
         free = np.ones(len(todo), bool)
         for h in range(2):
             direction = _preferred(scene, config, h)
-            drawn = _variation(lots[todo, draw, h, :_DRAWS], config, mirrored=h == 0)
+            drawn = scaled_variation(lots[todo, draw, h, :_DRAWS], config, mirrored=h == 0)
             if on_table and config.table_fingers == "down":
                 turn = drawn.share * config.table_roll
                 palms = (normal[todo, place, h], direction, -plane[:3])
                 drawn = drawn._replace(roll=roll_from_down(turn, drawn.roll, *palms))
-            p, R, balls = _hang(
+            p, R, balls = hang_hand(
                 shapes[h],
                 flat[todo, h],
                 over[todo, place, h],
@@ -199,8 +199,7 @@ def place_palms(
         todo = todo[~free]
         if not len(todo):
             break
-    world_pos, world_quat = _in_world(scene, pos, quat)
-    return Placement(pair_index, world_pos, world_quat, _postures(hands, shapes, flat), ok)
+    return Placement(pair_index, pos, quat, _postures(hands, shapes, flat), ok)
 
 
 def _places(
@@ -227,7 +226,7 @@ def _places(
     return np.where(first[:, None, None, None], centre, drawn)
 
 
-class _Variation(NamedTuple):
+class Variation(NamedTuple):
     """What one start draws; in the palm frame."""
 
     share: Float[np.ndarray, " n"]
@@ -240,9 +239,9 @@ class _Variation(NamedTuple):
     """Along the palm's x and y [m]."""
 
 
-def _variation(
+def scaled_variation(
     lots: Float[np.ndarray, "n 5"], config: PlacementConfig, *, mirrored: bool
-) -> _Variation:
+) -> Variation:
     """Scale uniform numbers; the left hand gets the mirror image (y -> -y) of the right's."""
     side = -1.0 if mirrored else 1.0
     angle, heading = config.tilt * lots[:, 1], 2.0 * pi * lots[:, 2]
@@ -252,16 +251,16 @@ def _variation(
     )
     shift = config.shift * (2.0 * lots[:, 3:5] - 1.0) * np.array([1.0, side])
     share = 2.0 * lots[:, 0] - 1.0
-    return _Variation(side * share, side * config.roll * share, tilt, shift)
+    return Variation(side * share, side * config.roll * share, tilt, shift)
 
 
-def _hang(
+def hang_hand(
     shapes: tuple[StartShape, StartShape],
     flat: Bool[np.ndarray, " n"],
     over: Float[np.ndarray, "n 3"],
     normal: Float[np.ndarray, "n 3"],
     direction: Float[np.ndarray, " 3"],
-    drawn: _Variation,
+    drawn: Variation,
     config: PlacementConfig,
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n K 3"]]:
     """Hang one hand over hull points: its pose and its spheres, all in the object frame.
@@ -304,15 +303,6 @@ def _preferred(scene: Scene, config: PlacementConfig, side: int) -> Float[np.nda
     world = np.array(config.left_direction if side == 0 else config.right_direction)
     to_object = frames.quat_conjugate(np.array(scene.object_quat_wxyz))
     return frames.quat_rotate(to_object, world / np.linalg.norm(world))
-
-
-def _in_world(
-    scene: Scene, pos: Float[np.ndarray, "M 2 3"], quat: Float[np.ndarray, "M 2 4"]
-) -> tuple[Float[np.ndarray, "M 2 3"], Float[np.ndarray, "M 2 4"]]:
-    """Move hand poses from the object frame to the world."""
-    q = np.array(scene.object_quat_wxyz)
-    moved = frames.quat_rotate(q, pos) + np.array(scene.object_pos)
-    return moved, frames.quat_canonical(frames.quat_multiply(q, quat))
 
 
 def _postures(

@@ -94,15 +94,15 @@ PAPER_GIVEN = (
     Kept("placement.pairs", "4.2: all K_r pairs"),
     Kept("placement.left_direction", "appendix B: (1, -1, -1)"),
     Kept("placement.right_direction", "appendix B: (1, 1, -1)"),
-    Kept("optimise.closure.cap", "appendix A: normal forces up to 1"),
+    Kept("optimise.closure.qp.cap", "appendix A: normal forces up to 1"),
     Kept("staging.extrapolate", "4.4, base included; BODex squeezes with the joints alone"),
     Kept("staging.density", "6.1: 2.5 kg/m^3"),
 )
 
 PAPER_OPEN = (
-    Kept("optimise.closure.friction", "measurements, 3 (0.1 to 0.6 differ by 3 points)"),
-    Kept("optimise.closure.beta", "BODex, k_lower 0.2"),
-    Kept("optimise.closure.gamma", "BODex, sum of five normal forces at least 1"),
+    Kept("optimise.closure.qp.mu", "measurements, 3 (0.1 to 0.6 differ by 3 points)"),
+    Kept("optimise.closure.qp.beta", "BODex, k_lower 0.2"),
+    Kept("optimise.closure.qp.gamma", "BODex, sum of five normal forces at least 1"),
     Kept("optimise.closure.torque_length", "measurements, 4; BODex has half the diagonal"),
     Kept("optimise.closure.least_torque_length", "measurements, 4"),
     Kept("optimise.closure.iterations", "measurements, 3; the paper has a QP solver"),

@@ -27,10 +27,6 @@ from bidexdata.synthesis.table import table_plane
 from bidexdata.wrench.qp import QPConfig
 
 
-def _qp() -> QPConfig:
-    return QPConfig()
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RegionConfig:
     """Which regions are made, which pairs are allowed and how they are ranked.
@@ -78,7 +74,7 @@ class RegionConfig:
     """Pairs best by force, and as many random ones, for the torque score. Measurements, 4."""
     iterations: int = 40
     """QP steps per pair of the torque score. Measurements, 2: ranks like 1500 (0.99)."""
-    qp: QPConfig = field(default_factory=_qp)
+    qp: QPConfig = field(default_factory=QPConfig)
     """The QP of the torque score."""
     diversity: float = 0.12
     """Two kept pairs have one anchor at least this far apart; share of the longest side [-].

@@ -12,18 +12,11 @@ from jaxtyping import Float, Int
 
 from bidexdata.synthesis.regions_build import Regions
 from bidexdata.synthesis.regions_gap import PairFilter
-from bidexdata.wrench.qp import contact_qp
+from bidexdata.wrench.qp import LEAST_TORQUE_LENGTH, TORQUE_LENGTH, contact_qp
 from bidexdata.wrench.support import AXES, force_support
 
 if TYPE_CHECKING:
     from bidexdata.synthesis.regions import RegionConfig
-
-TORQUE_LENGTH = 0.5
-"""Torque length of the torque score, as a share of the object's longest side [-]; as the default of
-`ClosureConfig.torque_length`. docs/measurements.md, 4; BODex takes half the box diagonal."""
-LEAST_TORQUE_LENGTH = 0.1
-"""Lower bound of that length [m]; as the default of `ClosureConfig.least_torque_length`.
-docs/measurements.md, 4."""
 
 Ranking = tuple[Int[np.ndarray, "n 2"], Float[np.ndarray, " n"]]
 

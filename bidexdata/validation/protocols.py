@@ -54,9 +54,9 @@ class LiftRules:
     def __post_init__(self) -> None:
         for name in ("height", "changes", "steps"):
             if not getattr(self, name) > 0:
-                raise BadConfig(f"lift.{name} must be positive, not {getattr(self, name)!r}")
+                raise BadConfig(f"LiftRules.{name} must be positive, not {getattr(self, name)!r}")
         if not self.hold >= 0:
-            raise BadConfig(f"lift.hold must not be negative, got {self.hold!r}")
+            raise BadConfig(f"LiftRules.hold must not be negative, got {self.hold!r}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,26 +139,26 @@ class Protocol:
         positive = ("segment_changes", "segment_steps", "hold", "check_every", "limit_pos")
         for name in positive:
             if not getattr(self, name) > 0:
-                raise BadConfig(f"protocol.{name} must be positive, not {getattr(self, name)!r}")
+                raise BadConfig(f"Protocol.{name} must be positive, not {getattr(self, name)!r}")
         if not 0 < self.limit_rot <= math.pi:
-            raise BadConfig(f"protocol.limit_rot must be in (0, pi], not {self.limit_rot!r}")
+            raise BadConfig(f"Protocol.limit_rot must be in (0, pi], not {self.limit_rot!r}")
         if self.steps_per_check < 1 or self.checks < 1:
-            raise BadConfig("protocol.check_every must be at least a timestep and at most hold")
+            raise BadConfig("Protocol.check_every must be at least a timestep and at most hold")
         unknown = [t for t in self.tests if t not in JUDGED]
         if unknown or not self.tests:
             known = " and ".join(JUDGED)
-            raise BadConfig(f"protocol.tests may name {known}, not {list(self.tests)!r}")
+            raise BadConfig(f"Protocol.tests may name {known}, not {list(self.tests)!r}")
         wrong = [d for d in self.directions if d not in DIRECTIONS]
         if wrong or not self.directions:
             known = ", ".join(DIRECTIONS)
-            raise BadConfig(f"protocol.directions may name {known}, not {list(self.directions)!r}")
+            raise BadConfig(f"Protocol.directions may name {known}, not {list(self.directions)!r}")
         if not _NAME.fullmatch(self.name):
             raise BadConfig(
-                f"protocol.name {self.name!r}: use lower-case letters, digits, dots and dashes"
+                f"Protocol.name {self.name!r}: use lower-case letters, digits, dots and dashes"
             )
         if self.name.endswith(WARP_SUFFIX) != (self.engine is not None):
             raise BadConfig(
-                f"protocol.name {self.name!r}: {WARP_SUFFIX!r} ends the names of protocols whose "
+                f"Protocol.name {self.name!r}: {WARP_SUFFIX!r} ends the names of protocols whose "
                 "verdicts are MuJoCo Warp's, and only theirs"
             )
 
@@ -235,7 +235,7 @@ def protocol_from(data: Any, where: str) -> Protocol:
     Raises:
         BadConfig: It is none.
     """
-    return from_plain(Protocol, data, where)
+    return from_plain(Protocol, data, f"{where}:")
 
 
 def _from_file(path: Path) -> Protocol:

@@ -12,7 +12,7 @@ from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import Solid
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.batch import empty_columns, in_metres
-from bidexdata.record.fields import ON_TABLE, columns_written_by
+from bidexdata.record.fields import OF_TEST, ON_TABLE, columns_written_by
 from bidexdata.simulation.engine_log import engine_warnings_logged
 from bidexdata.simulation.scene import SceneNotBuilt, SimScene, build_scene
 
@@ -154,7 +154,7 @@ def _write_metrics(
 def _write_verdict(columns: dict[str, np.ndarray], row: int, verdict: Verdict) -> None:
     columns["success"][row] = verdict.status is Status.OK
     columns["verdict_status"][row] = verdict.status
-    for name in ("failed_stage", "direction", "drift_pos", "drift_rot", "time", "load_margin"):
+    for name in ("failed_stage", "direction", *OF_TEST):
         columns[name][row] = getattr(verdict, name)
 
 

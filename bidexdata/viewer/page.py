@@ -59,7 +59,7 @@ class Page:
     """
 
     def __init__(self, gui: viser.GuiApi, scene: viser.SceneApi, catalog: Catalog, aim: Aim):
-        self._gui, self._catalog, self._aim = gui, catalog, aim
+        self._gui, self.catalog, self._aim = gui, catalog, aim
         self._lock = threading.RLock()
         self._setting = False  # a widget is being set from here, not by the person
         self._playing = self._closed = False
@@ -82,8 +82,8 @@ class Page:
         """Show the object that its widget names: read it, offer its sizes, apply the filters."""
         with self._lock:
             object_id = str(self.object.value)
-            self.solid = self._catalog.solid(object_id)
-            self.tested = self._catalog.grasps(object_id)
+            self.solid = self.catalog.solid(object_id)
+            self.tested = self.catalog.grasps(object_id)
             self.batch = next(iter(self.tested.values()), None)
             sizes = sorted(set(self.batch["size_mm"].tolist())) if self.batch is not None else []
             self._set(self.size, options=(ALL_SIZES, *(f"{s} mm" for s in sizes)))
@@ -150,7 +150,7 @@ class Page:
     def step_object(self, by: int) -> None:
         """Go to the next (1) or previous (-1) object."""
         with self._lock:
-            ids = self._catalog.object_ids
+            ids = self.catalog.object_ids
             at = (ids.index(str(self.object.value)) + by) % len(ids)
             self._set(self.object, value=ids[at])
             self.open_object()
@@ -180,7 +180,7 @@ class Page:
         self._closed = True
 
     def _build_widgets(self) -> None:
-        gui, ids, shown = self._gui, self._catalog.object_ids, self._has_grasps
+        gui, ids, shown = self._gui, self.catalog.object_ids, self._has_grasps
         with gui.add_folder("Object"):
             self.object = gui.add_dropdown("object", ids, initial_value=ids[0])
             self.surface = gui.add_dropdown(
@@ -223,7 +223,7 @@ class Page:
         play.on_click(lambda _: self.play())
 
     def _outcome_hint(self) -> str:
-        source = self._catalog.source
+        source = self.catalog.source
         return f"of test {source.test} of {source.protocol}" if source.test else "not validated"
 
     def _build_keys(self) -> None:

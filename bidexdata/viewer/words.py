@@ -10,6 +10,7 @@ import numpy as np
 from bidexdata.objects.prepared import Solid
 from bidexdata.pictures.captions import verdicts_words
 from bidexdata.record import GraspBatch
+from bidexdata.record.fields import OF_TEST
 from bidexdata.wording import counted
 
 # column, words, factor, unit
@@ -28,7 +29,6 @@ _SCORES = (
     ("drift_rot", "turn under load", 180 / np.pi, "°"),
     ("load_margin", "load margin", 1.0, ""),
 )
-_OF_A_TEST = ("drift_pos", "drift_rot", "load_margin")
 _COLOURS = {True: "#18804a", False: "#be2824", None: "#6e7278"}
 
 
@@ -53,7 +53,7 @@ def scores_markdown(tested: Mapping[str, GraspBatch], row: int) -> str:
             for test, rows in tested.items()
             if name in rows and np.isfinite(rows[name][row])
         }
-        if name not in _OF_A_TEST or len(tested) == 1:
+        if name not in OF_TEST or len(tested) == 1:
             lines += [f"| {words} | {value:.3g} {unit} |" for value in [*values.values()][:1]]
         else:
             lines += [f"| {words}, test {t} | {v:.3g} {unit} |" for t, v in values.items()]

@@ -133,7 +133,7 @@ def test_a_bug_gives_1_and_says_how_to_report_it(
 ):
     from bidexdata.runs import info as runs_info
 
-    def broken(_path: Path, _by: str | None) -> dict:
+    def broken(*_: object) -> dict:
         raise RuntimeError("a screw is loose\nand another")
 
     monkeypatch.setattr(runs_info, "describe", broken)
@@ -164,7 +164,7 @@ def test_ctrl_c_gives_130():
         "import sys, time\n"
         "from bidexdata.cli import main\n"
         "from bidexdata.runs import info\n"
-        "def wait(path, by):\n"
+        "def wait(*_):\n"
         "    print('waiting', flush=True)\n"
         "    time.sleep(60)\n"
         "info.describe = wait\n"

@@ -40,10 +40,10 @@ WRITTEN = [
     ([*SYNTH, "--seed", "1.5"], "--seed"),
     ([*SYNTH, "--sizes", "big"], "--sizes 'big'"),
     ([*SYNTH, "--sizes", "0.3,nan"], "--sizes"),
-    ([*SYNTH, "--set", "regions.anchors=many"], "anchors"),
-    ([*SYNTH, "--set", "regions.anchors=1.5"], "anchors"),
-    ([*SYNTH, "--config", "{tmp}/type.yaml"], "anchors"),
-    ([*PREPARE, "--set", "sdf.cells=many"], "cells"),
+    ([*SYNTH, "--set", "regions.anchors=many"], "error: regions.anchors must be int"),
+    ([*SYNTH, "--set", "regions.anchors=1.5"], "error: regions.anchors must be int"),
+    ([*SYNTH, "--config", "{tmp}/type.yaml"], "type.yaml: regions.anchors must be int"),
+    ([*PREPARE, "--set", "sdf.cells=many"], "error: sdf.cells must be int"),
     # --set without `=`, a list of the wrong length
     ([*SYNTH, "--set", "regions.anchors"], "KEY=VALUE"),
     ([*PREPARE, "--set", "convex"], "KEY=VALUE"),
@@ -64,14 +64,20 @@ WRITTEN = [
     ([*SYNTH, "--grasps", "20000"], "--grasps"),
     ([*SYNTH, "--candidates", "0"], "--candidates"),
     ([*SYNTH, "--sizes", "90"], "--sizes"),
+    ([*SYNTH, "--sizes", "0.3,0.5,0.30"], "--sizes: 0.3 is there more than once"),
     ([*SYNTH, "--seed", "-1"], "--seed"),
     ([*SYNTH, "--workers", "-1"], "--workers"),
-    ([*SYNTH, "--set", "regions.anchors=0"], "anchors"),
-    ([*SYNTH, "--set", "placement.left_direction=[0, 0, 0]"], "left_direction"),
-    ([*SYNTH, "--config", "{tmp}/range.yaml"], "anchors"),
+    ([*SYNTH, "--set", "regions.anchors=0"], "error: regions.anchors must"),
+    ([*SYNTH, "--set", "regions.qp.mu=-1"], "error: regions.qp.mu must"),
+    ([*SYNTH, "--set", "optimise.adam.beta1=2"], "error: optimise.adam.beta1 must"),
+    (
+        [*SYNTH, "--set", "placement.left_direction=[0, 0, 0]"],
+        "error: placement.left_direction must",
+    ),
+    ([*SYNTH, "--config", "{tmp}/range.yaml"], "range.yaml: regions.anchors must"),
     ([*PREPARE, "--limit", "0"], "--limit"),
     ([*PREPARE, "--workers", "-1"], "--workers"),
-    ([*PREPARE, "--set", "repair.weld=-1"], "weld"),
+    ([*PREPARE, "--set", "repair.weld=-1"], "error: repair.weld must"),
     ([*RENDER, "--count", "0"], "--count"),
     ([*RENDER, "--views", "9"], "--views"),
     ([*VIEW, "--port", "0"], "--port"),
@@ -97,6 +103,8 @@ NAMED = [
     # a file that is no YAML mapping
     ([*SYNTH, "--config", "{tmp}/broken.yaml"], "not valid YAML"),
     ([*PREPARE, "--config", "{tmp}/list.yaml"], "expected a mapping"),
+    # an output file of an unknown ending (that of `render`: tests/pictures/test_render.py)
+    (["table", "{tmp}", "--out", "{tmp}/a.xls"], "is written as one of .csv, .parquet"),
     # a preset, protocol, executor, device or family that is not there
     ([*SYNTH, "--preset", "papre"], "known: default, paper"),
     ([*VALIDATE, "--protocol", "papre-1"], "known: paper-1"),
@@ -119,7 +127,7 @@ NAMED = [
     ([*SYNTH, "--config", "{tmp}/word.yaml"], "one of random, force, torque"),
     # a key that does not exist
     ([*SYNTH, "--set", "regions.anchorz=3"], "did you mean 'anchors'?"),
-    ([*SYNTH, "--config", "{tmp}/key.yaml"], "did you mean 'anchors'?"),
+    ([*SYNTH, "--config", "{tmp}/key.yaml"], "key.yaml: regions has no key 'anchorz'"),
     ([*PREPARE, "--set", "convex.thresold=1"], "did you mean 'threshold'?"),
 ]
 

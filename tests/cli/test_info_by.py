@@ -6,9 +6,12 @@ import re
 import pytest
 from made_release import made_release
 
-from bidexdata.cli.groups import LEGEND, TABLES, group_lines
+from bidexdata.cli.groups import LEGEND, group_lines
 from bidexdata.cli.main import COMMANDS, run
-from bidexdata.formats.groups import BY, METRICS
+from bidexdata.formats.groups import BY
+from bidexdata.formats.metric_text import BLOCKS
+from bidexdata.objects.identity import named_id
+from bidexdata.record.fields import METRICS
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +50,20 @@ def test_the_lines_of_info_give_the_intervals(release, capsys):
 
 
 def test_every_metric_has_a_place_in_one_table():
-    assert sorted(m for block in TABLES for m in block) == sorted(METRICS)
+    assert sorted(m for block in BLOCKS for m in block) == sorted(METRICS)
+
+
+def test_heads_stand_over_their_columns_however_long_the_object_ids_are():
+    longest = named_id("a very long name " * 9, "f" * 64)
+    mean = {"n": 1, "objects": 1, "mean": 0.001, "low": None, "high": None, "method": "none"}
+    rate = {"k": 1, "n": 1, "rate": 1.0, "low": 0.2, "high": 1.0, "method": "wilson"}
+    group = {"rows": 1, "objects": 1, "selected": rate, "metrics": {"pd": mean, "time": mean}}
+    groups = {"box-1": group, longest: group}
+    lines = group_lines({"by": "object", "groups": {"p": {"f": groups}}})
+    for head, column in (("PD mm", "1.00"), ("time s", "0.00")):
+        at = next(i for i, line in enumerate(lines) if head in line)
+        places = {lines[at].index(head), *(line.index(column) for line in lines[at + 1 : at + 3])}
+        assert len(places) == 1
 
 
 def test_what_cannot_be_grouped_is_said():

@@ -12,10 +12,9 @@ import trimesh
 
 from bidexdata.cli.figures import LEGEND
 from bidexdata.cli.main import run
-from bidexdata.cli.report import earlier_text, refuse_nothing, warn_of_failed
+from bidexdata.cli.report import earlier_text, no_grasp_text, refuse_nothing, warn_of_failed
 from bidexdata.errors import NothingSucceeded
 from bidexdata.runs.executors import TaskFailure
-from bidexdata.runs.progress import _duration
 from bidexdata.runs.stage import StageReport
 
 
@@ -86,14 +85,37 @@ def test_warnings_of_a_library_are_counted_and_listed(tmp_path, capsys):
     assert re.search("open.obj: warning: .*remeshed", capsys.readouterr().out)
 
 
+def test_scenes_without_a_grasp_are_named_by_synth_and_by_info(tmp_path, capsys):
+    options = ("--executor", "inline", "--quiet")
+    assert run(["prepare", "shapes:box", "--out", str(tmp_path / "lib"), *options]) == 0
+    made = str(tmp_path / "run")
+    synth = [
+        *("synth", str(tmp_path / "lib"), "--out", made, "--hand", "capsule"),
+        *("--sizes", "0.3,0.5", "--grasps", "1", "--candidates", "1", "--executor", "inline"),
+        *("--set", "regions.anchors=60", "--set", "optimise.approach.steps=1"),
+        *("--set", "selection.largest_residual=0"),
+    ]
+    assert run(synth) == 6
+    said = capsys.readouterr().out
+    assert run(["info", made]) == 0
+    told = capsys.readouterr().out
+    assert run(["info", made, "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert [s.split("/", 1)[1] for s in data["without_grasp"]] == ["300/float", "500/float"]
+    sentence = no_grasp_text(data["without_grasp"])
+    assert "0.30 m" in sentence
+    assert sentence in said.splitlines()
+    assert sentence in told.splitlines()
+
+
+def test_only_the_first_scenes_without_a_grasp_are_named():
+    ids = [f"box-1/{mm}/{place}" for mm in (300, 305) for place in ("float", "table2")]
+    assert no_grasp_text(ids[:1]) == "no grasp kept of 1 scene: box-1 0.30 m"
+    assert no_grasp_text(ids) == (
+        "no grasp kept of 4 scenes: box-1 0.30 m, box-1 0.30 m table2, box-1 0.305 m and 1 more"
+    )
+
+
 def test_figures_of_one_call_say_what_earlier_calls_did():
     assert earlier_text(0) == ""
     assert earlier_text(3) == "; 3 tasks of earlier calls not counted"
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [(59.7, "1 min 0 s"), (119.8, "2 min 0 s"), (3.2, "3 s"), (7199.0, "1 h 59 min")],
-)
-def test_no_minute_has_sixty_seconds(seconds, text):
-    assert _duration(seconds) == text

@@ -76,7 +76,17 @@ def test_a_protocol_of_ones_own_is_stored_read_and_packed(floating, tmp_path, ca
     assert opened.protocol("short-1").hold == 0.5
     assert opened.verdict_tests() == [("paper-1", "f"), ("short-1", "f")]
     assert run(["info", str(floating), "--json"]) == 0
-    assert set(json.loads(capsys.readouterr().out)["protocols"]) == {"paper-1", "short-1"}
+    every = json.loads(capsys.readouterr().out)["protocols"]
+    assert set(every) == {"paper-1", "short-1"}
+    assert run(["info", str(floating), "--json", "--protocol", "short-1"]) == 0
+    one = json.loads(capsys.readouterr().out)
+    assert one["protocols"] == {"short-1": one["figures"]} == {"short-1": every["short-1"]}
+    assert run(["info", str(floating), "--protocol", "short-1"]) == 0
+    said = capsys.readouterr().out
+    assert "test f of short-1: " in said
+    assert "test f of paper-1: " not in said
+    assert run(["info", str(floating), "--protocol", "papre-1"]) == 3
+    assert "did you mean 'paper-1'?" in capsys.readouterr().err
     out = tmp_path / "release"
     named = ("--name", "x", "--version", "1.0.0", "--quiet")
     assert run(["pack", str(floating), "--out", str(out), *named]) == 0

@@ -48,6 +48,6 @@ def test_blocks_do_not_change_the_result(monkeypatch):
     mesh = made_object(OBJECTS[0]).mesh
     points = np.random.default_rng(2).normal(size=(33, 3))
     whole = distance_to_triangles(points, mesh.vertices[mesh.faces])
-    monkeypatch.setattr(closest, "_BLOCK", 30)
+    monkeypatch.setattr(closest, "BLOCK", 30)
     np.testing.assert_array_equal(whole, distance_to_triangles(points, mesh.vertices[mesh.faces]))
     assert distance_to_triangles(np.zeros((0, 3)), UNIT).shape == (0,)

@@ -43,6 +43,15 @@ def verdicts(success, pd=None):
 A, B = "box-1/300/float", "box-1/500/float"
 
 
+def test_a_scene_is_without_grasp_until_some_batch_has_a_selected_row_of_it():
+    tally = Tally()
+    assert tally.without_grasp() == []
+    tally.add(batch([(B, False, True, Status.OK)], {A: {"no_placement": 8}, B: {"ok": 8}}))
+    assert tally.without_grasp() == [A, B]  # one without rows, one with an audit row alone
+    tally.add(batch([(B, True, False, Status.OK)], {B: {"ok": 8}}))
+    assert tally.without_grasp() == [A]
+
+
 def test_rates_and_kept_share_by_hand():
     rows = [
         (A, True, False, Status.OK),

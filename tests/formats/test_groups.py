@@ -2,19 +2,25 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_release import PAPER_F, made_hands, made_release, made_rows
+from made_release import PAPER_F, made_hands, made_release, made_rows, made_verdicts
 
+from bidexdata.errors import NotUsable, UnknownName
 from bidexdata.formats.figures import Tally
-from bidexdata.formats.groups import BOUNDED, BY, METRICS, GroupTally, hands_label
+from bidexdata.formats.groups import BOUNDED, BY, GroupTally, hands_label
+from bidexdata.formats.manifest import write_manifest
 from bidexdata.formats.metric_text import SHOWN, metric_text
 from bidexdata.formats.release import Release
+from bidexdata.formats.verify import verify_release
 from bidexdata.record import FIELDS, Header, Status
-from bidexdata.record.fields import columns_written_by
+from bidexdata.record.fields import ANALYTIC, MEASURED, METRICS, columns_written_by
 from bidexdata.record.rates import clustered_interval
 from bidexdata.runs.info import describe
+from bidexdata.validation.analytic import AnalyticMetrics
+from bidexdata.validation.metrics import Metrics
 
 OBJECTS = tuple(f"box-{i:08d}" for i in range(12))
 HANDS = "made left, made right"
@@ -107,6 +113,8 @@ def test_every_number_of_a_verdict_is_a_metric_and_has_a_form():
     states = {"success", "verdict_status", "failed_stage", "direction"}
     assert set(METRICS) == set(columns_written_by("validate")) - states
     assert list(SHOWN) == list(METRICS)
+    assert Metrics._fields == MEASURED
+    assert AnalyticMetrics._fields == ANALYTIC
     for name, shown in SHOWN.items():
         assert {"m": "mm", "rad": "deg"}.get(FIELDS[name].unit, FIELDS[name].unit) == shown.unit
 
@@ -133,6 +141,39 @@ def test_a_release_gives_the_groups_that_its_rows_and_manifest_give(tmp_path):
         assert stated["groups"].get(by, {}) == (tally.groups("f", by) if by in BOUNDED else {})
     assert stated["metrics"] == tally.figures()["tests"]["f"]["metrics"]
     assert stated["metrics"]["pd"]["method"] == "object bootstrap"
+
+
+def test_a_release_states_the_figures_of_every_protocol_apart(tmp_path):
+    def rows_of(object_id):
+        rows = made_rows(object_id)
+        swapped = made_verdicts(rows.batch, np.random.default_rng(9))
+        return [replace(rows, verdicts={**rows.verdicts, ("mine", "f"): swapped})]
+
+    out = tmp_path / "release"
+    made_release(out, OBJECTS, rows_of=rows_of, tests=[PAPER_F, ("mine", "f")])
+    for protocol in ("paper-1", "mine"):
+        tally = Tally()
+        for object_id in OBJECTS:
+            (rows,) = rows_of(object_id)
+            tally.add(rows.batch, {"f": rows.verdicts[protocol, "f"]}, run="run", grasps=4)
+        found = describe(out, "size", protocol)
+        assert found["protocol"] == protocol
+        assert found["figures"] == tally.figures()
+        assert found["groups"] == {protocol: {"f": tally.groups("f", "size")}}
+    assert describe(out)["figures"] == describe(out, protocol="paper-1")["figures"]
+    assert describe(out, protocol="mine")["figures"]["suc_f"] != describe(out)["figures"]["suc_f"]
+    with pytest.raises(UnknownName, match="known: mine, paper-1"):
+        describe(out, protocol="other")
+    assert verify_release(out).ok
+
+    head = json.loads((out / "manifest.json").read_text())
+    older = {k: v for k, v in head.items() if k not in ("files", "other_figures")}
+    write_manifest(out, older)
+    with pytest.raises(NotUsable, match="figures of paper-1 only"):
+        describe(out, protocol="mine")
+    head["other_figures"]["mine"]["tests"]["f"]["selected"]["k"] += 1
+    write_manifest(out, {k: v for k, v in head.items() if k != "files"})
+    assert not verify_release(out).ok
 
 
 def test_rows_that_were_not_tested_are_in_no_group(tmp_path):

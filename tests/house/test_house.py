@@ -91,3 +91,11 @@ def test_kernels_live_in_files_that_type_checkers_skip():
         text = path.read_text(encoding="utf-8")
         if "@wp.kernel" in text or "@wp.func" in text:
             assert path.stem.endswith("_kernels"), path
+
+
+def test_tests_import_no_private_name_of_the_package():
+    for path in sorted((ROOT / "tests").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("bidexdata"):
+                private = [a.name for a in node.names if a.name.startswith("_")]
+                assert private in ([], ["__version__"]), f"{path.name} imports {private}"

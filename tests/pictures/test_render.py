@@ -57,7 +57,7 @@ def test_one_handed_grasps_get_a_sheet_that_names_their_hand(hands, monkeypatch,
     monkeypatch.setattr(render_module, "open_browsable", lambda path, protocol=None: made)
     report = render("run", tmp_path / "a.png", count=2, quiet=True)
     assert len(report.shown) == 2
-    assert render_module._title(made, None, ["right"]).endswith("right hand green")
+    assert render_module.sheet_title(made, None, ["right"]).endswith("right hand green")
     assert Image.open(tmp_path / "a.png").size[0] > 2 * render_module.WIDTH
 
 
@@ -103,8 +103,10 @@ def test_video_moments_run_through_all_stages():
 
 
 def test_impossible_wishes_are_named(opened, source, tmp_path: Path, monkeypatch):
-    with pytest.raises(BadConfig, match="contact sheet"):
-        render("run", tmp_path / "a.mp4", quiet=True)
+    for ending in ("mp4", "jpgg"):
+        with pytest.raises(BadConfig, match="contact sheet") as caught:
+            render("run", tmp_path / f"a.{ending}", quiet=True)
+        assert caught.value.exit_code == 3  # as every output file of an unknown ending
     with pytest.raises(BadConfig, match="animation"):
         render("run", tmp_path / "a.jpg", video=True, quiet=True)
     with pytest.raises(BadConfig, match="--count"):

@@ -13,10 +13,12 @@ from bidexdata.pictures.sheet import (
     PAPER,
     Caption,
     Tile,
+    captioned,
     contact_sheet,
     fitted,
     save_animation,
     save_picture,
+    wrapped,
 )
 from bidexdata.record.status import Status
 
@@ -73,6 +75,36 @@ def test_a_line_fits_its_place_and_keeps_both_ends(text, width):
     if len(short) > 3:
         assert short[0] == text[0]
         assert short[-1] == text[-1]
+
+
+@pytest.mark.parametrize("status", Status)
+@pytest.mark.parametrize("width", [270, 470])
+def test_a_long_caption_is_wrapped_between_words_and_keeps_them_all(status, width):
+    from PIL.ImageFont import load_default
+
+    text = outcome_words("f", status, 1)
+    lines = wrapped(text, width)
+    assert " ".join(lines).split() == text.split()
+    assert all(load_default(13).getlength(line) <= width for line in lines)
+    assert (len(lines) == 1) == (load_default(13).getlength(text) <= width)
+
+
+def test_a_word_without_end_is_shortened_and_no_line_is_lost():
+    long, lines = "x" * 300, wrapped("a " + "x" * 300 + " b", 100)
+    assert lines == ("a", fitted(long, 100, 13), "b")
+    assert wrapped("", 100) == ("",)
+
+
+def test_wrapped_lines_make_room_under_every_picture():
+    words = "fails: " + "the object moved farther than the limit " * 2
+    short, long = (Caption("head", (line,), (False,)) for line in ("fails", words))
+    pixels = np.zeros((40, 200, 3), np.uint8)
+    extra = captioned(pixels, long).shape[0] - captioned(pixels, short).shape[0]
+    assert extra == (len(wrapped(words, 190)) - 1) * 17
+    last = captioned(pixels, long)[-24:]  # the last line is there, and in the colour of the first
+    assert {tuple(int(v) for v in c) for c in last.reshape(-1, 3)} >= {BAD, PAPER}
+    sheets = [contact_sheet([Tile(pixels, c)], title="", footer="") for c in (short, long)]
+    assert sheets[1].height - sheets[0].height == (len(wrapped(words, 200)) - 1) * 17
 
 
 def test_saving_gives_the_same_bytes_and_reads_back(tmp_path: Path):

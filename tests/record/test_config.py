@@ -19,7 +19,7 @@ class Inner:
 
     def __post_init__(self):
         if self.weight < 0:
-            raise BadConfig(f"weight must be >= 0, not {self.weight}")
+            raise BadConfig(f"Inner.weight must be >= 0, not {self.weight}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,6 +90,29 @@ def test_an_unknown_key_names_the_nearest_one():
 def test_a_wrong_value_is_one_sentence(data, said):
     with pytest.raises(BadConfig, match=said):
         config.from_plain(Outer, data)
+
+
+@pytest.mark.parametrize(
+    ("where", "said"),
+    [
+        (None, "Outer.inner.weight must"),
+        ("", "inner.weight must"),
+        ("run", "run.inner.weight must"),
+        ("my.yaml:", "my.yaml: inner.weight must"),
+    ],
+)
+@pytest.mark.parametrize("value", [-1, "heavy"])  # refused by the class, and by its type
+def test_a_refusal_names_the_key_where_it_stands(where, said, value):
+    with pytest.raises(BadConfig) as caught:
+        config.from_plain(Outer, {"inner": {"weight": value}}, where)
+    assert str(caught.value).startswith(said)
+
+
+@pytest.mark.parametrize("value", ["-1", "heavy"])
+def test_an_override_is_named_as_it_was_typed(value):
+    with pytest.raises(BadConfig) as caught:
+        config.with_overrides(Outer(), [f"inner.weight={value}"])
+    assert str(caught.value).startswith("inner.weight must")
 
 
 @pytest.mark.parametrize(

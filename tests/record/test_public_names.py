@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -24,14 +25,24 @@ def test_type_checkers_see_the_same_names_at_the_same_places():
     tree = ast.parse(Path(bidexdata.__file__).read_text(encoding="utf-8"))
     (seen,) = [n for n in tree.body if isinstance(n, ast.If)]
     imports = [n for n in seen.body if isinstance(n, ast.ImportFrom)]
-    assert {a.asname: n.module for n in imports for a in n.names} == bidexdata._PUBLIC
+    seen_at = {a.asname: n.module for n in imports for a in n.names}
+    assert {*seen_at, "__version__"} == set(dir(bidexdata))
+    for name, module in seen_at.items():
+        assert getattr(import_module(str(module)), str(name)) is getattr(bidexdata, str(name))
     assert all(a.name == a.asname for n in imports for a in n.names)
+
+
+@pytest.mark.parametrize("name", [n for n in dir(bidexdata) if n[0].isupper()])
+def test_no_other_class_has_the_name_of_a_public_one(name):
+    files = Path(bidexdata.__file__).parent.rglob("*.py")
+    defined = [p for p in files if re.search(rf"^class {name}\b", p.read_text("utf-8"), re.M)]
+    assert len(defined) == 1
 
 
 def test_what_a_stage_needs_is_public_beside_it():
     request = bidexdata.SynthRequest(config=bidexdata.load_preset("default"), grasps=2)
     assert request.sizes_mm[0] == 300
-    assert bidexdata.Execution(executor="inline").workers == 0
+    assert bidexdata.TaskExecution(executor="inline").workers == 0
     assert {"describe", "render"} <= set(dir(bidexdata))
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from bidexdata import wording
 from bidexdata.runs.progress import Progress
-from bidexdata.wording import counted
+from bidexdata.wording import counted, duration
 
 PACKAGE = Path(wording.__file__).parent
 NOUNS = "task|row|object|grasp|input|file|scene|picture|column|attempt|piece"
@@ -34,3 +34,11 @@ def test_no_command_writes_a_plural_behind_a_number_by_hand():
     by_hand = re.compile(r"\{[^{}]*\} (?:" + NOUNS + r")s\b")
     for path in sorted((PACKAGE / "cli").glob("*.py")):
         assert not by_hand.findall(path.read_text("utf-8")), path.name
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(59.7, "1 min 0 s"), (119.8, "2 min 0 s"), (3.2, "3 s"), (7199.0, "1 h 59 min")],
+)
+def test_no_minute_has_sixty_seconds(seconds, text):
+    assert duration(seconds) == text

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from bidexdata.formats.release import Release
 from bidexdata.runs.demo import NAME, Demo, run_demo, stages_of
-from bidexdata.runs.stage import Execution
+from bidexdata.runs.stage import TaskExecution
 
-INLINE = Execution(executor="inline", quiet=True)
+INLINE = TaskExecution(executor="inline", quiet=True)
 STAGES = ["prepare", "synth", "validate", "pack", "render"]
 
 

@@ -23,7 +23,7 @@ from bidexdata.runs import import_objects
 from bidexdata.runs.import_ import ImportRequest, import_run
 from bidexdata.runs.run import Run, verdict_batch, verdict_fingerprint
 from bidexdata.runs.shards import shard_path, write_shard
-from bidexdata.runs.stage import Execution
+from bidexdata.runs.stage import TaskExecution
 from bidexdata.runs.table import write_table
 from bidexdata.validation.protocols import load_protocol
 
@@ -40,7 +40,7 @@ def bare(tmp_path_factory) -> Path:
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(import_objects, "PrepareConfig", lambda: small)
-        import_run(asked, root / "run", execution=Execution(executor="inline", quiet=True))
+        import_run(asked, root / "run", execution=TaskExecution(executor="inline", quiet=True))
     return root / "run"
 
 
@@ -80,7 +80,7 @@ def test_columns_are_all_scalars_of_the_field_table():
         there = [c for c in columns if c.field is field]
         if field.axes or field.table not in ("grasps", "verdicts"):
             assert not there, field.name
-        elif field.table == "grasps" or field.name in flat.MEASURED:
+        elif field.table == "grasps" or field.name in flat.OF_GRASP:
             assert [c.name for c in there] == [field.name]
         else:
             assert [c.test for c in there] == ["f", "l", "a"]

@@ -24,9 +24,9 @@ from bidexdata.runs.info import describe
 from bidexdata.runs.pack import pack_runs
 from bidexdata.runs.retest import start_retest
 from bidexdata.runs.run import Run
-from bidexdata.runs.stage import Execution
+from bidexdata.runs.stage import TaskExecution
 
-HERE = Execution(executor="inline", quiet=True)
+HERE = TaskExecution(executor="inline", quiet=True)
 N = len(OBJECTS) * len(SCALES) * PER_SCENE
 
 
@@ -103,7 +103,7 @@ def test_worker_processes_give_the_same_bytes(bench, tmp_path, monkeypatch):
     # Workers are fresh processes, which know nothing of the coarse configuration.
     monkeypatch.setattr(import_objects, "PrepareConfig", PrepareConfig)
     import_run(request(bench, limit=1), tmp_path / "here", execution=HERE)
-    workers = Execution(workers=1, quiet=True)
+    workers = TaskExecution(workers=1, quiet=True)
     import_run(request(bench, limit=1), tmp_path / "there", execution=workers)
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
 
@@ -232,14 +232,14 @@ def test_nothing_usable_leaves_no_run(copied, tmp_path):
 def test_a_file_that_ends_its_reader_costs_no_other(copied, tmp_path, monkeypatch):
     # A chunk whose worker died is read again file by file.
     victim = sorted(p.relative_to(copied).as_posix() for p in copied.rglob("*.npy"))[3]
-    read = import_scan._scan_file
+    read = import_scan.read_file
 
     def dying(form, root, name):
         if name == victim:
             raise MemoryError("no more")
         return read(form, root, name)
 
-    monkeypatch.setattr(import_scan, "_scan_file", dying)
+    monkeypatch.setattr(import_scan, "read_file", dying)
     report = import_run(request(copied), tmp_path / "run", execution=HERE)
     assert [f.file for f in report.failed] == [victim]
     assert "reading it failed: MemoryError" in report.failed[0].reason

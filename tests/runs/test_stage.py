@@ -11,7 +11,7 @@ import pytest
 from bidexdata.runs.plan import Task
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.shards import done_tasks, shard_path, write_text
-from bidexdata.runs.stage import Execution, TaskSummary, run_stage
+from bidexdata.runs.stage import TaskExecution, TaskSummary, run_stage
 
 TASKS = [Task(f"{k:02x}{k:014x}", f"o{k}", (f"o{k}/300/float",), 0) for k in range(5)]
 
@@ -20,7 +20,7 @@ def work(folder: Path, bad: frozenset[str], task: Task) -> TaskSummary:
     if task.object_id in bad:
         raise RuntimeError(f"{task.object_id} is bad")
     write_text(shard_path(folder, task.task_id), task.object_id)
-    return TaskSummary(2, 1, {"ok": 1, "no_placement": 1})
+    return TaskSummary(2, 1, {"ok": 1, "no_placement": 1}, task.scene_ids)
 
 
 def stage(folder: Path, bad: set[str], executor: str = "inline"):
@@ -30,7 +30,7 @@ def stage(folder: Path, bad: set[str], executor: str = "inline"):
         partial(work, folder / "synth", frozenset(bad)),
         unit="task",
         logs=folder / "logs",
-        execution=Execution(executor=executor, workers=2, quiet=True),
+        execution=TaskExecution(executor=executor, workers=2, quiet=True),
     )
 
 
@@ -43,6 +43,7 @@ def test_a_failed_task_is_reported_logged_and_tried_again(tmp_path: Path, execut
     }
     assert (first.tasks, first.before, first.finished) == (5, 0, 3)
     assert (first.rows, first.good, first.by_status) == (6, 3, {"ok": 3, "no_placement": 3})
+    assert first.without_grasp == ("o0/300/float", "o2/300/float", "o4/300/float")
     logged = "".join(p.read_text() for p in (tmp_path / "logs").iterdir())
     assert "o3 is bad" in logged
     assert "Traceback" in logged

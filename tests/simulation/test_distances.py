@@ -11,7 +11,12 @@ from box_solids import box_solid
 
 from bidexdata.frames import quat_multiply, quat_rotate, random_quat
 from bidexdata.simulation.assembly import scene_spec
-from bidexdata.simulation.distances import REACH, _contacts, measure_distances, pregrasp_penetration
+from bidexdata.simulation.distances import (
+    REACH,
+    list_contacts,
+    measure_distances,
+    pregrasp_penetration,
+)
 from bidexdata.simulation.scene import build_scene
 from bidexdata.simulation.state import set_pose
 
@@ -122,7 +127,7 @@ def test_one_collision_pass_lists_what_a_full_forward_pass_lists(scene):
     pos = np.array([[0, 0, HALF + 0.03], [0.02, 0, HALF + 0.05]])
     pose = (*AT_ORIGIN, pos, random_quat(rng, (2,)), joints)
     set_pose(scene, *pose)
-    _, geoms, dist, points, normals = _contacts(scene, 0.0, full_broad_phase=True)
+    _, geoms, dist, points, normals = list_contacts(scene, 0.0, full_broad_phase=True)
     set_pose(scene, *pose)
     mujoco.mj_forward(scene.model, scene.data)
     assert len(dist) == scene.data.ncon > 0

@@ -12,7 +12,7 @@ from bidexdata.objects.prepared import SignedDistanceGrid
 from bidexdata.synthesis import chain
 from bidexdata.synthesis.distance_field import signed_distance
 from bidexdata.synthesis.forces import contact_forces, force_scales, joint_torques
-from bidexdata.synthesis.optimise import _closure_problem, optimise, qp_config, read_pose
+from bidexdata.synthesis.optimise import closure_problem, optimise, read_pose
 from bidexdata.synthesis.optimise_config import (
     AdamConfig,
     ClosureConfig,
@@ -132,12 +132,12 @@ def slopes(body, hands, start, energy, direction, *, closure=None, step=2e-3):
             joints=(joints[0], joints[1]),
         )
         ws = allocate(body, hands, state, np.full(len(state.size), 0.15))
-        qp, weights = _closure_problem(ws, closure)
+        qp, weights = closure_problem(ws, closure)
         calls = [
             *chain.kinematics(ws),
             *chain.surface(ws, energy),
             *chain.distance_term(ws, energy, 0.0),
-            *chain.closure_term(ws, qp, weights, qp_config(closure), 3000),
+            *chain.closure_term(ws, qp, weights, closure.qp, 3000),
             *chain.region_term(ws, energy),
             *chain.pad_term(ws, energy),
             *chain.chain_to_centres(ws, energy),

@@ -12,7 +12,7 @@ from bidexdata.hands import load_hands
 from bidexdata.hands.kinematics import hand_points
 from bidexdata.record.scene import Scene
 from bidexdata.synthesis.distance_field import signed_distance
-from bidexdata.synthesis.placement import PlacementConfig, _hang, _variation, place_palms
+from bidexdata.synthesis.placement import PlacementConfig, hang_hand, place_palms, scaled_variation
 from bidexdata.synthesis.placement_shapes import start_shapes, tangent_frames
 from bidexdata.synthesis.regions import RegionConfig, select_region_pairs
 from bidexdata.synthesis.regions_build import hull_depth, hull_planes
@@ -98,13 +98,12 @@ def test_accepted_hands_are_clear_of_each_other(hands, size_mm):
     assert np.array_equal(clear, placed.ok)
 
 
-def test_a_moved_object_moves_its_starts(hands):
-    # Sides are by world y, roll by world directions: a shift changes nothing else.
-    shift = (0.3, -0.2, 0.7)
+def test_where_the_object_is_changes_nothing_of_its_starts(hands):
+    # They are seen from it. Sides are by world y, roll by world directions: a shift keeps both.
     _, _, here = start(BOX, hands)
-    _, _, there = start(BOX, hands, object_pos=shift)
-    assert np.allclose(there.hand_pos, here.hand_pos + np.array(shift), atol=1e-12)
-    assert np.allclose(there.hand_quat, here.hand_quat, atol=1e-12)
+    _, _, there = start(BOX, hands, object_pos=(0.3, -0.2, 0.7))
+    assert np.array_equal(there.hand_pos, here.hand_pos)
+    assert np.array_equal(there.hand_quat, here.hand_quat)
 
 
 def test_starts_follow_from_the_seed_and_do_not_depend_on_how_many_follow(hands):
@@ -166,9 +165,9 @@ def test_mirrored_draws_give_mirrored_hands(hands):
     poses = []
     for h, sign in ((0, mirror), (1, np.ones(3))):
         poses.append(
-            _hang(
+            hang_hand(
                 start_shapes(hands[h], "contacts"), flat, over * sign, normal * sign,
-                direction * sign, _variation(lots, CONFIG, mirrored=h == 0), CONFIG,
+                direction * sign, scaled_variation(lots, CONFIG, mirrored=h == 0), CONFIG,
             )
         )  # fmt: skip
     (_, R_left, _), (_, R_right, _) = poses

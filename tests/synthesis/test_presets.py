@@ -14,6 +14,7 @@ from bidexdata.hands import load_hands
 from bidexdata.record import Scene
 from bidexdata.synthesis.attempts import draw_attempts
 from bidexdata.synthesis.config import SynthConfig
+from bidexdata.synthesis.optimise_config import ClosureConfig
 from bidexdata.synthesis.presets import (
     PAPER_GIVEN,
     PAPER_IDLE,
@@ -23,6 +24,7 @@ from bidexdata.synthesis.presets import (
     preset_names,
 )
 from bidexdata.synthesis.regions_build import accessible_anchors, build_regions
+from bidexdata.wrench.qp import QPConfig
 
 
 def value_at(config, key):
@@ -113,13 +115,19 @@ def test_the_paper_preset_drops_pairs_by_the_gap_alone():
     assert cosine.min() < -0.99
 
 
+def test_no_constant_of_the_closure_stands_beside_its_qp():
+    fields = {f.name for f in dataclasses.fields(ClosureConfig)}
+    assert not fields & {"friction", *(f.name for f in dataclasses.fields(QPConfig))}
+    assert isinstance(SynthConfig().optimise.closure.qp, QPConfig)
+
+
 def test_unknown_names_and_impossible_values_are_refused():
     with pytest.raises(UnknownName, match="did you mean 'paper'"):
         load_preset("papr")
     with pytest.raises(UnknownKey, match="step"):
         with_overrides(SynthConfig(), ["optimise.approach.step=3"])
-    with pytest.raises(BadConfig, match="friction"):
-        with_overrides(SynthConfig(), ["optimise.closure.friction=-1"])
+    with pytest.raises(BadConfig, match="mu"):
+        with_overrides(SynthConfig(), ["optimise.closure.qp.mu=-1"])
     with pytest.raises(BadConfig, match="one of decoupled, coupled, mix"):
         with_overrides(SynthConfig(), ["optimise.closure.groups=both"])
 

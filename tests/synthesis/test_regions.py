@@ -6,7 +6,6 @@ from made_objects import ball_object, box_object
 
 from bidexdata.errors import BadConfig
 from bidexdata.record.scene import Scene
-from bidexdata.synthesis.optimise_config import ClosureConfig
 from bidexdata.synthesis.regions import RegionConfig, select_region_pairs
 from bidexdata.synthesis.regions_build import (
     Regions,
@@ -17,8 +16,6 @@ from bidexdata.synthesis.regions_build import (
 )
 from bidexdata.synthesis.regions_gap import PairFilter, regions_apart
 from bidexdata.synthesis.regions_rank import (
-    LEAST_TORQUE_LENGTH,
-    TORQUE_LENGTH,
     balance_residuals,
     diverse,
     force_scores,
@@ -253,9 +250,3 @@ def test_an_empty_list_of_pairs_has_no_residuals_and_no_choice():
 def test_impossible_numbers_are_refused_by_name(change):
     with pytest.raises(BadConfig, match=f"RegionConfig.{next(iter(change))}"):
         RegionConfig(**change)
-
-
-def test_regions_and_optimisation_measure_torques_by_the_same_length():
-    closure = ClosureConfig()
-    assert closure.torque_length == TORQUE_LENGTH
-    assert closure.least_torque_length == LEAST_TORQUE_LENGTH

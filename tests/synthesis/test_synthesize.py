@@ -109,9 +109,9 @@ def test_contact_forces_obey_their_cones_and_press(batch):
     slide = np.linalg.norm(f - normal[..., None] * n, axis=-1)
     closure = SynthConfig().optimise.closure
     assert np.all(normal >= -1e-4)
-    assert np.all(normal <= closure.cap + 1e-4)
-    assert np.all(slide <= closure.friction * normal + 1e-4)
-    assert np.all(normal.sum(axis=2) >= closure.gamma - 1e-3)
+    assert np.all(normal <= closure.qp.cap + 1e-4)
+    assert np.all(slide <= closure.qp.mu * normal + 1e-4)
+    assert np.all(normal.sum(axis=2) >= closure.qp.gamma - 1e-3)
 
 
 def test_the_same_call_gives_the_same_bytes(batch, obj, hands, scenes):

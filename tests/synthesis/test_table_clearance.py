@@ -50,8 +50,11 @@ def pairs_of(obj, scene, config=REGIONS):
 
 
 def start(obj, hands, scene, config=PLACEMENT, count=30):
+    """Starts as `place_palms` gives them, moved from the object frame to the world."""
     pairs = pairs_of(obj, scene)
-    return pairs, place_palms(obj, hands, scene, pairs, config, np.random.default_rng(1), count)
+    placed = place_palms(obj, hands, scene, pairs, config, np.random.default_rng(1), count)
+    quat = frames.quat_multiply(np.array(scene.object_quat_wxyz), placed.hand_quat)
+    return pairs, placed._replace(hand_pos=in_world(scene, placed.hand_pos), hand_quat=quat)
 
 
 def points_of(hand, placed, h):

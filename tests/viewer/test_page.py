@@ -227,7 +227,7 @@ def test_play_ends_at_the_squeeze_and_stops_when_the_browser_leaves(page, monkey
 def test_two_pages_of_one_catalog_do_not_turn_each_other(page, source):
     with contextlib.redirect_stdout(io.StringIO()):
         other = viser.ViserServer(host="127.0.0.1", port=free_port(), verbose=False)
-        two = Page(other.gui, other.scene, page._catalog, lambda *_: None)
+        two = Page(other.gui, other.scene, page.catalog, lambda *_: None)
         page.step_grasp(2)
         page.outcome.value = "failed"
         page.step_object(1)
