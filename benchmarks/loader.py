@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.machine import median_seconds
 from bidexdata.loaders import BiDexDataset
 from bidexdata.runs.demo import run_demo
-from bidexdata.runs.stage import Execution
+from bidexdata.runs.stage import TaskExecution
 
 BATCH = 256
 BATCHES = 50
@@ -27,7 +27,7 @@ def measure() -> dict[str, Any]:
     """Gather random batches; the raw figure copies as many floats from one array."""
     rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as folder:
-        execution = Execution(executor="inline", quiet=True)
+        execution = TaskExecution(executor="inline", quiet=True)
         run_demo(
             Path(folder), execution=execution, sources="shapes:box", sizes_mm=(300, 500), grasps=4
         )
