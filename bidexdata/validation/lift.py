@@ -109,7 +109,9 @@ def _lifted(
         phase = Phase(status, moved, turned, up_time)
         ended = TestStage.NONE if status is Status.OK else TestStage.LIFT
     else:
-        grip = probe(scene, protocol, execution.rest) if execution.early_stop else Grip.LOOSE
+        # What is out of place already need not be probed: nothing will end its hold early.
+        probed = execution.early_stop and status is Status.OK
+        grip = probe(scene, protocol, execution.rest) if probed else Grip.LOOSE
         phase = hold(
             scene, protocol, protocol.lift_checks, wanted, execution, grip=grip, watch=watch
         )
