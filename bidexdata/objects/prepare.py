@@ -54,7 +54,7 @@ def prepare_object(
         (1, 6)
     """
     config = config or PrepareConfig()
-    item, data = _item_and_bytes(source)
+    item, data = _item_and_bytes(source, config.load.max_bytes)
     doubts: tuple[str, ...] = ()
     if item.pieces:
         given = given_pieces(item, config.load)
@@ -164,13 +164,15 @@ def _origin(item: SourceItem, data: bytes) -> dict[str, Any]:
     return known
 
 
-def _item_and_bytes(source: str | Path | TriangleMesh | SourceItem) -> tuple[SourceItem, bytes]:
+def _item_and_bytes(
+    source: str | Path | TriangleMesh | SourceItem, most: int
+) -> tuple[SourceItem, bytes]:
     if isinstance(source, TriangleMesh):
         data = np.ascontiguousarray(source.vertices, "<f8").tobytes()
         data += np.ascontiguousarray(source.faces, "<i4").tobytes()
         return SourceItem(source_name="triangles", path=Path("triangles")), data
     if isinstance(source, SourceItem):
-        return source, source_bytes(source)
+        return source, source_bytes(source, most)
     text = str(source)
     if text.startswith("shapes:") and not Path(text).exists():
         from bidexdata.objects.sources.shapes import named_shape
@@ -181,4 +183,4 @@ def _item_and_bytes(source: str | Path | TriangleMesh | SourceItem) -> tuple[Sou
         if not path.is_file():
             raise PathNotFound(path, "a mesh file or shapes:FAMILY")
         item = SourceItem(source_name=path.name, path=path)
-    return item, source_bytes(item)
+    return item, source_bytes(item, most)
