@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -88,7 +89,7 @@ def unit_mesh(
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     # Halves first: the sum of two huge coordinates would overflow.
     centre = low / 2 + high / 2
-    diagonal = float(np.linalg.norm(high / 2 - low / 2) * 2)
+    diagonal = 2 * math.hypot(*(high / 2 - low / 2))
     if not np.isfinite(diagonal) or diagonal <= np.abs(centre).max() * 1e-12 or diagonal == 0:
         raise PrepareFailure(Status.NOT_FINITE_MESH, "all vertices lie in one point")
     unit = TriangleMesh(

@@ -80,9 +80,7 @@ def _in_world(part: Part) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     used, own = np.unique(part.faces, return_inverse=True)
     own = own.reshape(-1, 3)
     R, p = part.T_world_part[:3, :3], part.T_world_part[:3, 3]
-    with np.errstate(all="ignore"):  # what is not finite is refused later, with its count
-        points = part.vertices[used] @ R.T + p
-        return points, own[:, ::-1] if np.linalg.det(R) < 0 else own
+    return part.vertices[used] @ R.T + p, own[:, ::-1] if np.linalg.det(R) < 0 else own
 
 
 def check_faces(count: int, config: LoadConfig) -> None:

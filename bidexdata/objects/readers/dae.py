@@ -124,8 +124,7 @@ def _transform(node: Any) -> NDArray[np.float64]:
     for child in node:
         make = _TRANSFORMS.get(_tag(child))
         if make is not None:
-            with np.errstate(all="ignore"):
-                T = T @ make(child)
+            T = T @ make(child)
     return T
 
 

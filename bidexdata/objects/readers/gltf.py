@@ -8,7 +8,6 @@ Skins and morph targets are left in the pose that is stored.
 from __future__ import annotations
 
 import base64
-import binascii
 import json
 import struct
 from pathlib import Path
@@ -126,8 +125,7 @@ def _placed_meshes(document: dict[str, Any]) -> list[tuple[int, NDArray[np.float
         k, T_world_parent = waiting.pop()
         if k in places:
             raise unreadable("its node tree has a cycle, or a node has two parents")
-        with np.errstate(all="ignore"):  # what is not finite is refused later, with its count
-            places[k] = T_world_parent @ _transform(nodes[k])
+        places[k] = T_world_parent @ _transform(nodes[k])
         waiting += [(c, places[k]) for c in children[k]]
     if not places and len(nodes):
         raise unreadable("its node tree has a cycle" if (parents > 0).all() else "no node is shown")
@@ -152,14 +150,13 @@ def _transform(node: dict[str, Any]) -> NDArray[np.float64]:
         return _numbers(node, "matrix", 16).reshape(4, 4).T
     T = np.eye(4)
     x, y, z, w = _numbers(node, "rotation", 4, (0.0, 0.0, 0.0, 1.0))
-    with np.errstate(all="ignore"):
-        x, y, z, w = np.array([x, y, z, w]) / np.linalg.norm([x, y, z, w])
-        R = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-        T[:3, :3] = np.array(R) * _numbers(node, "scale", 3, (1.0, 1.0, 1.0))
+    x, y, z, w = np.array([x, y, z, w]) / np.linalg.norm([x, y, z, w])
+    R = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    T[:3, :3] = np.array(R) * _numbers(node, "scale", 3, (1.0, 1.0, 1.0))
     T[:3, 3] = _numbers(node, "translation", 3, (0.0, 0.0, 0.0))
     return T
 
@@ -295,7 +292,7 @@ def _named_bytes(file: _File, uri: str) -> bytes:
             raise unreadable("a data URI is not in base64")
         try:
             return base64.b64decode(text, validate=True)
-        except binascii.Error as err:
+        except ValueError as err:
             raise unreadable(f"a data URI is not in base64 ({err})") from err
     parts = urlsplit(uri)
     if parts.scheme or parts.netloc:

@@ -44,15 +44,14 @@ def _normals(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _convex(points: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Tell which polygons (P, n, 3) turn the same way at every corner and only once around."""
-    with np.errstate(all="ignore"):
-        edge = np.roll(points, -1, axis=1) - points
-        turn = np.cross(edge, np.roll(edge, -1, axis=1))
-        normal = _normals(points)
-        along = np.einsum("pni,pi->pn", turn, normal)
-        size = np.einsum("pi,pi->p", normal, normal)
-        # A fan of a polygon that winds around twice would still turn one way only.
-        fan = points[:, 1:] - points[:, :1]
-        fans = np.einsum("pni,pi->pn", np.cross(fan[:, :-1], fan[:, 1:]), normal)
+    edge = np.roll(points, -1, axis=1) - points
+    turn = np.cross(edge, np.roll(edge, -1, axis=1))
+    normal = _normals(points)
+    along = np.einsum("pni,pi->pn", turn, normal)
+    size = np.einsum("pi,pi->p", normal, normal)
+    # Turning one way only, a polygon may still wind around twice: its fan then turns back.
+    fan = points[:, 1:] - points[:, :1]
+    fans = np.einsum("pni,pi->pn", np.cross(fan[:, :-1], fan[:, 1:]), normal)
     return (along >= -1e-9 * size[:, None]).all(1) & (fans >= -1e-9 * size[:, None]).all(1)
 
 

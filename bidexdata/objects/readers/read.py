@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.readers.content import Content, unreadable
@@ -50,7 +52,9 @@ def read_content(path: Path, data: bytes, config: LoadConfig) -> Content:
     if not data.strip(b"\0 \t\r\n"):
         raise unreadable("the file is empty" if not data else "the file holds only blanks")
     try:
-        return _READERS[suffix](path, data, config)
+        # What is not finite is refused or dropped later, with its count.
+        with np.errstate(all="ignore"):
+            return _READERS[suffix](path, data, config)
     except MemoryError as err:
         raise PrepareFailure(Status.TOO_COMPLEX, "reading it needs too much memory") from err
     except RecursionError as err:

@@ -47,9 +47,7 @@ def placed(
         if is_leaf(node):
             found.append(Place(node, T))
             continue
-        with np.errstate(all="ignore"):  # what is not finite is refused later, with its count
-            inner = [Place(p.node, T @ p.T) for p in below[node]]
-        waiting += reversed(inner)
+        waiting += [Place(p.node, T @ p.T) for p in reversed(below[node])]
     return found
 
 

@@ -115,7 +115,7 @@ class _Archive:
                         )
                     model.feed(block)
             model.end()
-        except expat.ExpatError as err:
+        except (expat.ExpatError, LookupError) as err:  # the latter for unknown encodings
             raise unreadable(f"its XML cannot be read: {err}") from err
         except (
             zipfile.BadZipFile,
