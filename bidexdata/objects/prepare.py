@@ -15,6 +15,7 @@ import numpy as np
 
 from bidexdata.errors import PathNotFound
 from bidexdata.objects.assemble import UnitSolid, assembled, unit_solid
+from bidexdata.objects.closed import as_manifold
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.convex import Decomposition, decompose
 from bidexdata.objects.deviation import hausdorff
@@ -88,7 +89,10 @@ def _rescaled(repaired: Repaired, loaded: LoadedMesh) -> tuple[Repaired, LoadedM
     def scaled(mesh: TriangleMesh) -> TriangleMesh:
         return TriangleMesh((mesh.vertices - middle) / diagonal, mesh.faces)
 
-    repaired = repaired._replace(mesh=scaled(repaired.mesh), source=scaled(repaired.source))
+    source = scaled(repaired.source)
+    repaired = repaired._replace(
+        mesh=scaled(repaired.mesh), source=source, hausdorff=repaired.hausdorff / diagonal
+    )
     centre = loaded.centre + loaded.diagonal * middle
     return repaired, loaded._replace(centre=centre, diagonal=loaded.diagonal * diagonal)
 
@@ -117,7 +121,8 @@ def _provenance(
         "origin_in_file": [float(x) for x in in_file],
         "unit_in_file": loaded.diagonal * solid.diagonal,
         "repair": repaired.method,
-        "hausdorff": hausdorff(repaired.mesh, repaired.source, samples),
+        "repair_steps": list(repaired.steps),
+        "hausdorff": repaired.hausdorff,
         "piece_method": split.method,
         "pieces": len(split.pieces),
         "volume_ratio": solid.volume * solid.diagonal**3 / volume,
@@ -132,6 +137,7 @@ def _of_given(
     """Assemble an object of the pieces that its source gives, as they are."""
     solid = unit_solid(given.pieces)
     union = TriangleMesh(solid.mesh.vertices * solid.diagonal + solid.centre, solid.mesh.faces)
+    shown, samples = given.shown or union, config.repair.hausdorff_samples
     provenance = {
         **_origin(item, data),
         "source_faces": len(given.whole.faces),
@@ -141,11 +147,23 @@ def _of_given(
         "origin_in_file": [float(x) for x in solid.centre],
         "unit_in_file": solid.diagonal,
         "repair": "none",
+        "repair_steps": [],
+        "hausdorff": _apart(solid, given.whole, samples),
         "piece_method": "given",
         "pieces": len(solid.pieces),
+        "solid_hausdorff": _apart(solid, shown, samples),
         "warnings": list(given.warnings),
     }
-    return assembled(object_id_of(item, data), solid, given.shown or union, provenance, config)
+    closed = as_manifold(shown)
+    if closed is not None and closed.volume() > 0:
+        provenance["volume_ratio"] = solid.volume * solid.diagonal**3 / closed.volume()
+    return assembled(object_id_of(item, data), solid, shown, provenance, config)
+
+
+def _apart(solid: UnitSolid, mesh: TriangleMesh, samples: int) -> float:
+    """Hausdorff distance of a solid at unit diagonal to a mesh in the frame its pieces came in."""
+    moved = (mesh.vertices - solid.centre) / solid.diagonal
+    return hausdorff(solid.mesh, TriangleMesh(moved, mesh.faces), samples)
 
 
 def _origin(item: SourceItem, data: bytes) -> dict[str, Any]:

@@ -18,9 +18,9 @@ from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.glb import write_glb
 from bidexdata.objects.physics import mass_properties, surface_area
+from bidexdata.objects.polygons import triangulated
 from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.readers import SUFFIXES, Content, read_content
-from bidexdata.objects.readers.polygons import triangulated
 from bidexdata.objects.sources import resolve_sources
 from bidexdata.objects.weld import weld
 from bidexdata.record.status import Status

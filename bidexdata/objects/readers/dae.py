@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.objects.config import LoadConfig
+from bidexdata.objects.polygons import triangulated
 from bidexdata.objects.readers.content import (
     R_WORLD_X_UP,
     R_WORLD_Y_UP,
@@ -25,7 +26,6 @@ from bidexdata.objects.readers.content import (
     joined,
     unreadable,
 )
-from bidexdata.objects.readers.polygons import triangulated
 from bidexdata.objects.readers.scene import Place, placed
 from bidexdata.objects.readers.text import numbers, plain_text, whole_numbers
 

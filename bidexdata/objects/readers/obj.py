@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.objects.config import LoadConfig
+from bidexdata.objects.polygons import triangulated
 from bidexdata.objects.readers.content import Content, Part, check_faces, joined, unreadable
-from bidexdata.objects.readers.polygons import triangulated
 from bidexdata.objects.readers.text import bad_numbers, numbers, plain_text, shown, whole_numbers
 
 

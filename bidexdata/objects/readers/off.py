@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from bidexdata.objects.config import LoadConfig
+from bidexdata.objects.polygons import triangulated
 from bidexdata.objects.readers.content import Content, Part, check_faces, joined, unreadable
-from bidexdata.objects.readers.polygons import triangulated
 from bidexdata.objects.readers.text import bad_numbers, plain_text, whole_numbers
 
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.failure import PrepareFailure
+from bidexdata.objects.polygons import triangulated
 from bidexdata.objects.readers.content import Content, Part, joined, unreadable
-from bidexdata.objects.readers.polygons import triangulated
 from bidexdata.objects.readers.text import numbers
 from bidexdata.record.status import Status
 
