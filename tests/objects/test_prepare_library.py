@@ -172,17 +172,3 @@ def test_real_meshes_are_prepared_without_the_hull(tmp_path, shared):
     assert report.hulls == 0
     assert all(row["licence"] != "unknown" for row in report.rows)
     assert all(row["hausdorff"] < 0.02 for row in report.rows)
-
-
-@pytest.mark.slow
-def test_hostile_files_give_rows_and_nothing_else(tmp_path, shared, small):
-    report = run([shared / "objects" / "nasty"], tmp_path / "lib", small, executor="processes")
-    assert len(report.rows) == 81
-    status = {r["source_name"]: r["status_label"] for r in report.rows}
-    assert not set(status.values()) & {"crashed", "timed_out"}
-    legal = {name for name in status if name.startswith("legal")}
-    assert {status[name] for name in legal} <= {"ok", "duplicate"}
-    assert status["draco_required.glb"] == "unsupported"
-    assert status["nan_vertices.stl"] == "not_finite_mesh"
-    assert status["flat_plane.stl"] == "no_volume"
-    assert status["point_cloud_no_faces.ply"] == "no_faces"
