@@ -1,8 +1,7 @@
 """What becomes of a folder of broken files: `python -m benchmarks.hostile FOLDER [--out PAGE.md]`.
 
 One worker prepares them one by one, as `bidexdata prepare FOLDER --workers 1` would. The page has a
-row per file: what became of it, its wall-clock time and the largest resident memory that its worker
-and the decomposition had (Linux).
+row per file: what became of it, its wall-clock time and the largest resident memory of its worker (Linux).
 """
 
 from __future__ import annotations
@@ -39,7 +38,9 @@ class Told(NamedTuple):
     """The reason, or how it was repaired and its warnings."""
     seconds: float
     mebibytes: int
-    """Largest resident memory; 0 where the system does not say."""
+    """Largest resident memory of the worker; 0 where the system does not say."""
+    child: int
+    """The same of any decomposition so far."""
 
 
 def measured(task: PrepareTask) -> Told:
@@ -48,12 +49,12 @@ def measured(task: PrepareTask) -> Told:
     start = time.perf_counter()
     row = prepare_one(task)
     seconds = time.perf_counter() - start
-    memory = max(_peak(), resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss // 1024)
+    memory, child = _peak(), resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss // 1024
     if row.get("status"):
-        return Told(Status(row["status"]).label, str(row["reason"]), seconds, memory)
+        return Told(Status(row["status"]).label, str(row["reason"]), seconds, memory, child)
     known = read_document(task.library / object_folder(task.object_id))["provenance"]
     text = f"{known['repair']}, {known['hausdorff']:.2%} of the diagonal from the input"
-    return Told("ok", "; ".join([text, *known["warnings"]]), seconds, memory)
+    return Told("ok", "; ".join([text, *known["warnings"]]), seconds, memory, child)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -77,7 +78,7 @@ def main(arguments: Sequence[str]) -> int:
         for task, result in run_tasks(list(tasks.values()), measured, workers=1, timeout=wall):
             name = task.item.source_name
             bad = isinstance(result, TaskFailure)
-            told[name] = Told(result.kind, result.reason, wall, 0) if bad else result
+            told[name] = Told(result.kind, result.reason, wall, 0, 0) if bad else result
             print(f"{name}: {told[name].label} in {told[name].seconds:.1f} s", flush=True)
     options.out.write_text(page({name: told[name] for name in tasks}), encoding="utf-8")
     return 0
@@ -101,7 +102,8 @@ def page(told: dict[str, Told]) -> str:
         + ", ".join(f"{n} {label}" for label, n in counts.most_common())
         + ".",
         f"Slowest: `{slowest}`, {told[slowest].seconds:.1f} s. Largest memory:",
-        f"`{largest}`, {told[largest].mebibytes} MiB resident.",
+        f"`{largest}`, {told[largest].mebibytes} MiB resident; the decomposition, a process of its own,",
+        f"at most {max(t.child for t in told.values())} MiB.",
         f"Machine: {machine['cpu']}, one worker." if "cpu" in machine else "One worker.",
         "",
         "| file | what became of it | why, or how | s | MiB |",

@@ -56,10 +56,12 @@ class RepairConfig:
     simplify_cells: float = 0.15
     """Tolerance of the simplification after a remesh, in cells."""
     min_part: float = 1e-5
-    """Debris: closed components below this share of the total volume that are also smaller than
+    """Specks: closed components below this share of the total volume that are also smaller than
     `debris` are dropped."""
-    debris: float = 0.02
-    """Box diagonal below which a component may be debris."""
+    debris: float = 0.03
+    """Box diagonal below which a component may be debris, as a share of the largest component's."""
+    detached: float = 0.01
+    """Distance from everything else above which it is, as a share of the same."""
     max_components: int = 3000
     """Closed components above which they are not united but remeshed."""
     display_faces: int = 20_000

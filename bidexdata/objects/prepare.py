@@ -18,6 +18,7 @@ from bidexdata.objects.assemble import UnitSolid, assembled, unit_solid
 from bidexdata.objects.closed import as_manifold
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.convex import Decomposition, decompose
+from bidexdata.objects.debris import without_debris
 from bidexdata.objects.deviation import hausdorff
 from bidexdata.objects.given import GivenPieces, given_pieces
 from bidexdata.objects.identity import object_id_of, source_bytes
@@ -27,9 +28,6 @@ from bidexdata.objects.prepared import PreparedObject, TriangleMesh
 from bidexdata.objects.repair import Repaired, repair
 from bidexdata.objects.sources import SourceItem
 from bidexdata.objects.sources.shapes import shape_mesh
-
-_SHRUNK = 0.95
-"""Share of the diagonal below which a repaired mesh is scaled anew."""
 
 
 def prepare_object(
@@ -71,30 +69,18 @@ def prepare_object(
     else:
         assert item.path is not None
         loaded = load_mesh(item.path, data, config.load)
-    repaired, loaded = _rescaled(repair(loaded.mesh, config.repair), loaded)
+    faces = len(loaded.mesh.faces)
+    loaded, dropped = without_debris(loaded, config.repair)
+    if dropped:
+        doubts += (f"{dropped} specks dropped that lie apart",)
+    repaired = repair(loaded.mesh, config.repair)
     split = decompose(repaired.mesh, config.convex)
     solid = unit_solid(split.pieces)
     provenance = _provenance(item, data, loaded, repaired, split, solid, config)
+    provenance["source_faces"] = faces
+    provenance["repair_steps"] = ["drop_debris"] * bool(dropped) + provenance["repair_steps"]
     provenance["warnings"] = [*doubts, *provenance["warnings"]]
     return assembled(object_id_of(item, data), solid, repaired.mesh, provenance, config)
-
-
-def _rescaled(repaired: Repaired, loaded: LoadedMesh) -> tuple[Repaired, LoadedMesh]:
-    """Scale to unit diagonal again where the repair dropped far specks that had set the scale."""
-    low, high = repaired.mesh.vertices.min(axis=0), repaired.mesh.vertices.max(axis=0)
-    diagonal, middle = float(np.linalg.norm(high - low)), (low + high) / 2
-    if diagonal > _SHRUNK:
-        return repaired, loaded
-
-    def scaled(mesh: TriangleMesh) -> TriangleMesh:
-        return TriangleMesh((mesh.vertices - middle) / diagonal, mesh.faces)
-
-    source = scaled(repaired.source)
-    repaired = repaired._replace(
-        mesh=scaled(repaired.mesh), source=source, hausdorff=repaired.hausdorff / diagonal
-    )
-    centre = loaded.centre + loaded.diagonal * middle
-    return repaired, loaded._replace(centre=centre, diagonal=loaded.diagonal * diagonal)
 
 
 def _provenance(
@@ -114,7 +100,6 @@ def _provenance(
     metres = loaded.metres_per_unit
     return {
         **_origin(item, data),
-        "source_faces": len(loaded.mesh.faces),
         "source_diagonal": loaded.diagonal,
         "source_metres_per_unit": metres,
         # x_file = origin_in_file + unit_in_file * x_object, after the turn to z up.

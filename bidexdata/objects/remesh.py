@@ -155,7 +155,8 @@ def _lost_faces(mesh: TriangleMesh, fine: TriangleMesh, depth: float) -> NDArray
     step = depth * np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
     middle = corners.mean(axis=1)
     sides = winding_distances(mesh, np.concatenate([middle - step, middle + step]))
-    return (sides > 0).reshape(2, -1).all(axis=0)
+    inner, outer = np.split(sides, 2)
+    return (inner > 0) & (outer > 0)
 
 
 def _subdivided(mesh: TriangleMesh, longest: float) -> TriangleMesh:

@@ -38,8 +38,8 @@ _AREA_KEPT = 0.99
 """Share of the area that a loose weld must keep."""
 _CONVEX = 0.985
 """Share of its hull that a plate fills: one that is so thin is left alone."""
-_BETTER = 0.7
-"""A dearer repair is taken only where it brings the surface nearer by so much."""
+_BETTER, _NEARLY = 0.7, 1.5
+"""A dearer repair is taken only where it brings the surface so much nearer, and nearly near."""
 
 
 class Repaired(NamedTuple):
@@ -110,7 +110,9 @@ def _better(best: Repaired, tried: Repaired, config: RepairConfig) -> Repaired:
         return tried if tried.hausdorff <= max(config.near, best.hausdorff) else best
     if tried.thin and not best.thin:
         return best
-    return tried if tried.hausdorff < _BETTER * best.hausdorff else best
+    # A new surface over an opening may bulge towards the input: that is nearer and no better.
+    worth = tried.hausdorff <= _NEARLY * config.near
+    return tried if worth and tried.hausdorff < _BETTER * best.hausdorff else best
 
 
 def _is_convex(mesh: TriangleMesh) -> bool:

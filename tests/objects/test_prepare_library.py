@@ -157,6 +157,24 @@ def test_a_worker_that_takes_too_long_or_dies_costs_one_row(tmp_path, meshes, sm
     assert again.rows[0]["status"] == Status.OK
 
 
+def test_a_worker_that_uses_up_its_cpu_time_costs_one_row(tmp_path, meshes, small):
+    # A fresh worker loads its libraries within the bound, which alone takes longer.
+    busy = replace(small, limits=LimitsConfig(cpu_seconds=0.01))
+    sources = [meshes / "a_box.stl", meshes / "c_points.obj"]
+    report = run(sources, tmp_path / "lib", busy, executor="processes", workers=1)
+    box, points = report.rows
+    assert box["status"] == Status.TOO_COMPLEX
+    assert "limits.cpu_seconds = 0.01" in box["reason"]
+    assert points["status"] == Status.NO_FACES
+
+
+def test_the_index_says_what_the_repair_did(tmp_path, meshes, small):
+    run([meshes / "a_box.stl"], tmp_path / "lib", small)
+    (row,) = Library.open(tmp_path / "lib").index.to_pylist()
+    assert (row["repair"], row["repair_steps"]) == ("as_is", ["weld"])
+    assert row["hausdorff"] < 1e-6
+
+
 def test_listed_files_that_do_not_exist_are_rows(tmp_path, meshes, small):
     listed = meshes / "list.txt"
     listed.write_text("missing.obj\na_box.stl\n")

@@ -8,10 +8,18 @@ import pytest
 
 from bidexdata.objects.closed import as_manifold, as_mesh
 from bidexdata.objects.components import oriented
-from bidexdata.objects.config import PrepareConfig, RepairConfig, SdfConfig, SurfaceConfig
+from bidexdata.objects.config import (
+    LoadConfig,
+    PrepareConfig,
+    RepairConfig,
+    SdfConfig,
+    SurfaceConfig,
+)
+from bidexdata.objects.debris import without_debris
 from bidexdata.objects.deviation import hausdorff
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.holes import filled
+from bidexdata.objects.loading import unit_mesh
 from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepare import prepare_object
 from bidexdata.objects.prepared import TriangleMesh
@@ -288,4 +296,35 @@ def test_specks_are_dropped_and_the_object_keeps_its_scale(ball):
     among = prepare_object(joined(ball, *specks), COARSE)
     assert among.volume == pytest.approx(alone.volume, rel=0.05)  # 64 vertices each
     assert among.provenance["unit_in_file"] == pytest.approx(0.6 * np.sqrt(3), rel=0.05)
-    assert "2 specks dropped" in among.provenance["warnings"]
+    assert "2 specks dropped that lie apart" in among.provenance["warnings"]
+
+
+def test_details_that_are_attached_or_close_are_no_debris(ball):
+    loaded = unit_mesh(
+        joined(
+            ball,
+            *(
+                TriangleMesh(0.005 * ball.vertices + [x, 0, 0], ball.faces)
+                for x in (0.3, 0.303, 0.4)
+            ),
+        ),
+        LoadConfig(),
+    )
+    kept, dropped = without_debris(loaded, CONFIG)
+    assert dropped == 1
+    assert len(kept.mesh.faces) == 3 * len(ball.faces)
+    assert kept.diagonal < loaded.diagonal
+
+
+def test_one_far_triangle_does_not_set_the_scale(ball):
+    far = TriangleMesh(np.eye(3) * 0.01 + [300.0, 0, 0], np.array([[0, 1, 2]], np.int32))
+    alone, among = prepare_object(ball, COARSE), prepare_object(joined(ball, far), COARSE)
+    assert among.volume == pytest.approx(alone.volume, rel=1e-3)
+    assert among.provenance["repair"] == "as_is"
+    assert among.provenance["repair_steps"] == ["drop_debris", "weld"]
+
+
+def test_a_lid_is_flat_where_a_new_surface_would_only_bulge(ball):
+    middle = ball.vertices[ball.faces].mean(axis=1)
+    repaired = repair(TriangleMesh(ball.vertices, ball.faces[middle[:, 2] < 0.12]), CONFIG)
+    assert repaired.method == "fill_holes"
