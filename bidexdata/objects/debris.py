@@ -15,7 +15,7 @@ from bidexdata.objects.weld import weld
 
 _SMALL = 1e-3
 """Share of the largest component's area that a piece of debris has at most."""
-_TOGETHER = 0.01
+_TOGETHER = 0.05
 """Share of all area that debris may have; more of it is part of the object."""
 
 
