@@ -1,11 +1,12 @@
 """Convex pieces that a source gives: they are kept as they are, without repair or decomposition.
 
 A file of pieces is an OBJ: each `o` or `g` group in it is a piece, and a file without groups is
-one. Coordinates are those of the file; OBJ has z up here, as everywhere (`containers`).
+one. Coordinates are those of the file; OBJ has z up here, as in every reader.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -19,6 +20,7 @@ from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.loading import file_mesh, unit_mesh
 from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepared import TriangleMesh
+from bidexdata.objects.readers.inside import regular_bytes
 from bidexdata.objects.sources.item import SourceItem
 from bidexdata.record.status import Status
 
@@ -77,15 +79,14 @@ def obj_groups(path: Path, config: LoadConfig) -> list[TriangleMesh]:
     Raises:
         PrepareFailure: The file cannot be read or is no mesh.
     """
+    text = regular_bytes(path, config.max_bytes).decode("utf-8", errors="replace")
     try:
-        vertices, groups = _grouped(path.read_text(encoding="utf-8", errors="replace"))
-    except OSError as err:
-        reason = err.strerror or type(err).__name__
-        raise PrepareFailure(Status.UNREADABLE, f"{path.name}: {reason}") from err
-    except ValueError as err:
+        vertices, groups = _grouped(text)
+    except (ValueError, OverflowError) as err:
         raise PrepareFailure(Status.UNREADABLE, f"{path.name}: {err}") from err
     faces = np.array([t for group in groups for t in group], np.int64).reshape(-1, 3)
-    unit_mesh(TriangleMesh(vertices, faces.astype(np.int32)), config)  # refuses what is no mesh
+    # Refuses what is no mesh; a piece without some of its faces is another piece.
+    unit_mesh(TriangleMesh(vertices, faces.astype(np.int32)), replace(config, broken_faces=0.0))
     return [_compact(vertices, np.array(group, np.int64)) for group in groups if group]
 
 

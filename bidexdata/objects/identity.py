@@ -7,6 +7,7 @@ import re
 from pathlib import Path, PurePath
 
 from bidexdata.objects.failure import PrepareFailure
+from bidexdata.objects.readers.inside import regular_bytes
 from bidexdata.objects.sources import SourceItem
 from bidexdata.objects.sources.shapes import shape_bytes
 from bidexdata.record.status import Status
@@ -21,11 +22,15 @@ _GENERIC = frozenset(
 """Names of files and folders that say nothing of the object; the folder above names it then."""
 
 
-def source_bytes(item: SourceItem) -> bytes:
+def source_bytes(item: SourceItem, most: int) -> bytes:
     """The bytes that identify an input: of its file or files, or of the recipe of a shape.
 
+    Args:
+        item: The input.
+        most: Largest size of a file that is read [bytes].
+
     Raises:
-        PrepareFailure: The file does not exist or cannot be read.
+        PrepareFailure: The file does not exist, cannot be read or is too large.
     """
     if item.shape is not None:
         return shape_bytes(item.shape)
@@ -33,11 +38,11 @@ def source_bytes(item: SourceItem) -> bytes:
         raise PrepareFailure(Status.UNREADABLE, item.problem)
     assert item.path is not None
     if not item.pieces:
-        return _contents(item.path)
+        return regular_bytes(item.path, most)
     # The same file prepared without its pieces is another solid: it must have another identity.
     parts = [b"pieces\n"]
     for path in (*item.pieces, *(() if item.shown is None else (item.shown,))):
-        data = _contents(path)
+        data = regular_bytes(path, most)
         inside = path.relative_to(item.path).as_posix()
         parts += [f"{inside} {len(data)}\n".encode(), data]
     return b"".join(parts)
@@ -61,11 +66,3 @@ def named_id(name: str, sha256: str) -> str:
     """Slug of a name, `-`, first 8 hex digits of a hash."""
     slug = re.sub(r"[^a-z0-9_-]+", "-", name.lower()).strip("-")[:48] or "object"
     return f"{slug}-{sha256[:8]}"
-
-
-def _contents(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as err:
-        reason = err.strerror or type(err).__name__
-        raise PrepareFailure(Status.UNREADABLE, f"{path.name}: {reason}") from err

@@ -39,6 +39,7 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("source_faces", "int64", "faces in the source"),
     ("source_diagonal", "float64", "box diagonal of the source in file units"),
     ("repair", "string", "how the mesh was closed"),
+    ("repair_steps", "list<string>", "what was done for that, in order"),
     ("hausdorff", "float64", "repaired mesh to source, fraction of the diagonal"),
     (
         "piece_method",

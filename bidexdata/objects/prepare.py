@@ -15,8 +15,10 @@ import numpy as np
 
 from bidexdata.errors import PathNotFound
 from bidexdata.objects.assemble import UnitSolid, assembled, unit_solid
+from bidexdata.objects.closed import as_manifold
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.convex import Decomposition, decompose
+from bidexdata.objects.debris import without_debris
 from bidexdata.objects.deviation import hausdorff
 from bidexdata.objects.given import GivenPieces, given_pieces
 from bidexdata.objects.identity import object_id_of, source_bytes
@@ -26,9 +28,6 @@ from bidexdata.objects.prepared import PreparedObject, TriangleMesh
 from bidexdata.objects.repair import Repaired, repair
 from bidexdata.objects.sources import SourceItem
 from bidexdata.objects.sources.shapes import shape_mesh
-
-_SHRUNK = 0.95
-"""Share of the diagonal below which a repaired mesh is scaled anew."""
 
 
 def prepare_object(
@@ -54,7 +53,7 @@ def prepare_object(
         (1, 6)
     """
     config = config or PrepareConfig()
-    item, data = _item_and_bytes(source)
+    item, data = _item_and_bytes(source, config.load.max_bytes)
     doubts: tuple[str, ...] = ()
     if item.pieces:
         given = given_pieces(item, config.load)
@@ -70,27 +69,18 @@ def prepare_object(
     else:
         assert item.path is not None
         loaded = load_mesh(item.path, data, config.load)
-    repaired, loaded = _rescaled(repair(loaded.mesh, config.repair), loaded)
+    faces = len(loaded.mesh.faces)
+    loaded, dropped = without_debris(loaded, config.repair)
+    if dropped:
+        doubts += (f"{dropped} specks dropped that lie apart",)
+    repaired = repair(loaded.mesh, config.repair)
     split = decompose(repaired.mesh, config.convex)
     solid = unit_solid(split.pieces)
     provenance = _provenance(item, data, loaded, repaired, split, solid, config)
+    provenance["source_faces"] = faces
+    provenance["repair_steps"] = ["drop_debris"] * bool(dropped) + provenance["repair_steps"]
     provenance["warnings"] = [*doubts, *provenance["warnings"]]
     return assembled(object_id_of(item, data), solid, repaired.mesh, provenance, config)
-
-
-def _rescaled(repaired: Repaired, loaded: LoadedMesh) -> tuple[Repaired, LoadedMesh]:
-    """Scale to unit diagonal again where the repair dropped far specks that had set the scale."""
-    low, high = repaired.mesh.vertices.min(axis=0), repaired.mesh.vertices.max(axis=0)
-    diagonal, middle = float(np.linalg.norm(high - low)), (low + high) / 2
-    if diagonal > _SHRUNK:
-        return repaired, loaded
-
-    def scaled(mesh: TriangleMesh) -> TriangleMesh:
-        return TriangleMesh((mesh.vertices - middle) / diagonal, mesh.faces)
-
-    repaired = repaired._replace(mesh=scaled(repaired.mesh), source=scaled(repaired.source))
-    centre = loaded.centre + loaded.diagonal * middle
-    return repaired, loaded._replace(centre=centre, diagonal=loaded.diagonal * diagonal)
 
 
 def _provenance(
@@ -110,14 +100,14 @@ def _provenance(
     metres = loaded.metres_per_unit
     return {
         **_origin(item, data),
-        "source_faces": len(loaded.mesh.faces),
         "source_diagonal": loaded.diagonal,
         "source_metres_per_unit": metres,
         # x_file = origin_in_file + unit_in_file * x_object, after the turn to z up.
         "origin_in_file": [float(x) for x in in_file],
         "unit_in_file": loaded.diagonal * solid.diagonal,
         "repair": repaired.method,
-        "hausdorff": hausdorff(repaired.mesh, repaired.source, samples),
+        "repair_steps": list(repaired.steps),
+        "hausdorff": repaired.hausdorff,
         "piece_method": split.method,
         "pieces": len(split.pieces),
         "volume_ratio": solid.volume * solid.diagonal**3 / volume,
@@ -132,6 +122,7 @@ def _of_given(
     """Assemble an object of the pieces that its source gives, as they are."""
     solid = unit_solid(given.pieces)
     union = TriangleMesh(solid.mesh.vertices * solid.diagonal + solid.centre, solid.mesh.faces)
+    shown, samples = given.shown or union, config.repair.hausdorff_samples
     provenance = {
         **_origin(item, data),
         "source_faces": len(given.whole.faces),
@@ -141,11 +132,23 @@ def _of_given(
         "origin_in_file": [float(x) for x in solid.centre],
         "unit_in_file": solid.diagonal,
         "repair": "none",
+        "repair_steps": [],
+        "hausdorff": _apart(solid, given.whole, samples),
         "piece_method": "given",
         "pieces": len(solid.pieces),
+        "solid_hausdorff": _apart(solid, shown, samples),
         "warnings": list(given.warnings),
     }
-    return assembled(object_id_of(item, data), solid, given.shown or union, provenance, config)
+    closed = as_manifold(shown)
+    if closed is not None and closed.volume() > 0:
+        provenance["volume_ratio"] = solid.volume * solid.diagonal**3 / closed.volume()
+    return assembled(object_id_of(item, data), solid, shown, provenance, config)
+
+
+def _apart(solid: UnitSolid, mesh: TriangleMesh, samples: int) -> float:
+    """Hausdorff distance of a solid at unit diagonal to a mesh in the frame its pieces came in."""
+    moved = (mesh.vertices - solid.centre) / solid.diagonal
+    return hausdorff(solid.mesh, TriangleMesh(moved, mesh.faces), samples)
 
 
 def _origin(item: SourceItem, data: bytes) -> dict[str, Any]:
@@ -164,13 +167,15 @@ def _origin(item: SourceItem, data: bytes) -> dict[str, Any]:
     return known
 
 
-def _item_and_bytes(source: str | Path | TriangleMesh | SourceItem) -> tuple[SourceItem, bytes]:
+def _item_and_bytes(
+    source: str | Path | TriangleMesh | SourceItem, most: int
+) -> tuple[SourceItem, bytes]:
     if isinstance(source, TriangleMesh):
         data = np.ascontiguousarray(source.vertices, "<f8").tobytes()
         data += np.ascontiguousarray(source.faces, "<i4").tobytes()
         return SourceItem(source_name="triangles", path=Path("triangles")), data
     if isinstance(source, SourceItem):
-        return source, source_bytes(source)
+        return source, source_bytes(source, most)
     text = str(source)
     if text.startswith("shapes:") and not Path(text).exists():
         from bidexdata.objects.sources.shapes import named_shape
@@ -181,4 +186,4 @@ def _item_and_bytes(source: str | Path | TriangleMesh | SourceItem) -> tuple[Sou
         if not path.is_file():
             raise PathNotFound(path, "a mesh file or shapes:FAMILY")
         item = SourceItem(source_name=path.name, path=path)
-    return item, source_bytes(item)
+    return item, source_bytes(item, most)

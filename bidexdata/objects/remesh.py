@@ -7,7 +7,7 @@ a grid cell, get lost; those parts of the surface, and only those, are given a t
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,58 +15,103 @@ from numpy.typing import NDArray
 from bidexdata.devices import start_warp
 from bidexdata.objects.closed import as_manifold, as_mesh, union
 from bidexdata.objects.config import RepairConfig
-from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.mesh_queries import distances, winding_distances
-from bidexdata.objects.physics import mass_properties, solid_angles
+from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.weld import weld
-from bidexdata.record.status import Status
 
 _PADDING = 3
 """Empty cells around the mesh, so that the level set closes."""
-_LOST_SHARE = 0.005
-"""Share of the area that may be lost before sheets are thickened."""
 
 
-def remesh(mesh: TriangleMesh, config: RepairConfig) -> tuple[TriangleMesh, str, tuple[str, ...]]:
-    """Return a closed surface around a mesh of unit diagonal, the method and warnings."""
-    cell = 1.0 / config.remesh_cells
-    low = mesh.vertices.min(axis=0) - _PADDING * cell
-    nodes = np.ceil(np.ptp(mesh.vertices, axis=0) / cell).astype(int) + 2 * _PADDING + 1
-    grid = low + cell * np.stack(np.meshgrid(*map(np.arange, nodes), indexing="ij"), axis=-1)
-    points = grid.reshape(-1, 3)
-    field = winding_distances(mesh, points).reshape(nodes)
-    solid = _level_set(field, low, cell)
+class Remeshed(NamedTuple):
+    """A closed surface around triangles."""
 
-    fine = _subdivided(mesh, 2 * cell)
-    if _lid_share(solid, mesh, 2 * cell) > config.lid_share:
-        # An open shell: its winding number would fill it up to its rim.
-        field = np.full_like(field, np.inf)
-        lost = np.ones(len(fine.faces), bool)
-    else:
-        lost = _lost_faces(fine, solid, field, low, cell, config.lost_cells * cell)
-    area = _areas(fine)
-    share = float(area[lost].sum() / area.sum())
-    method, warnings = "remesh", (f"remeshed at 1/{config.remesh_cells} of the diagonal",)
-    if share > _LOST_SHARE:
-        sheet = TriangleMesh(fine.vertices, fine.faces[lost])
-        half = config.shell_cells * cell
-        _, away = distances(sheet, points)
-        solid = _level_set(np.minimum(field, away.reshape(nodes) - half), low, cell)
-        method = "remesh_shell"
+    mesh: TriangleMesh
+    steps: tuple[str, ...]
+    """`remesh`, and `remesh_shell` where something was given a thickness."""
+    warnings: tuple[str, ...]
+
+
+def remesh(mesh: TriangleMesh, config: RepairConfig) -> Remeshed | None:
+    """Put a closed surface around triangles; None where nothing comes out.
+
+    Walls that the grid cannot hold would be lost or become lace. A finer grid is taken where it
+    keeps at least half of what the coarse one loses; what is lost all the same encloses nothing,
+    and is given a thickness.
+    """
+    size = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    grid = _Grid.around(mesh, size / config.remesh_cells)
+    lost = _lost(mesh, grid, config)
+    if lost.share > config.lost_share and not lost.open_shell:
+        finer = _Grid.around(mesh, size / config.fine_cells)
+        fewer = _lost(mesh, finer, config)
+        if fewer.share < 0.5 * lost.share and not fewer.open_shell:
+            grid, lost = finer, fewer
+    steps: tuple[str, ...] = ("remesh",)
+    warnings = (f"remeshed with cells of {grid.cell:.4f} of the diagonal",)
+    solid = lost.solid
+    if lost.share > config.lost_share:
+        half = config.shell_cells * grid.cell
+        _, away = distances(lost.sheet, grid.points)
+        thick = away.reshape(grid.nodes) - half
+        field = thick if lost.open_shell else np.minimum(grid.field, thick)
+        solid = _level_set(field, grid.low, grid.cell)
+        steps += ("remesh_shell",)
         warnings += (
-            f"{share:.0%} of the surface enclosed no volume at this resolution and was made "
+            f"{lost.share:.0%} of the surface enclosed no volume at this resolution and was made "
             f"{2 * half:.3f} of the diagonal thick",
         )
-    if len(solid.faces) == 0:
-        raise PrepareFailure(Status.NO_VOLUME, "the remeshed surface is empty")
-    return _simplified(solid, config.simplify_cells * cell), method, warnings
+    simple = _simplified(solid, config.simplify_cells * grid.cell)
+    return simple and Remeshed(simple, steps, warnings)
 
 
-def winding_number(mesh: TriangleMesh, point: NDArray[np.float64]) -> float:
-    """How often a surface goes around a point: 1 inside a closed outward mesh, 0 outside."""
-    shifted = TriangleMesh(mesh.vertices - point, mesh.faces)
-    return float(solid_angles(shifted).sum() / (4 * np.pi))
+class _Grid(NamedTuple):
+    """Signed distances to triangles on a regular grid, the sign from the winding number."""
+
+    field: NDArray[np.float32]
+    """(nx, ny, nz)."""
+    points: NDArray[np.float64]
+    """Positions of the nodes, (nx * ny * nz, 3)."""
+    low: NDArray[np.float64]
+    """Position of the first node."""
+    cell: float
+
+    @property
+    def nodes(self) -> tuple[int, ...]:
+        return self.field.shape
+
+    @classmethod
+    def around(cls, mesh: TriangleMesh, cell: float) -> _Grid:
+        low = mesh.vertices.min(axis=0) - _PADDING * cell
+        nodes = np.ceil(np.ptp(mesh.vertices, axis=0) / cell).astype(int) + 2 * _PADDING + 1
+        steps = np.stack(np.meshgrid(*map(np.arange, nodes), indexing="ij"), axis=-1)
+        points = (low + cell * steps).reshape(-1, 3)
+        return cls(winding_distances(mesh, points).reshape(nodes), points, low, cell)
+
+
+class _Lost(NamedTuple):
+    """What of a surface the level set of its grid does not have."""
+
+    solid: TriangleMesh
+    """The level set."""
+    sheet: TriangleMesh
+    """The lost triangles."""
+    share: float
+    """Their share of the area."""
+    open_shell: bool
+    """Whether the level set fills an open shell up to its rim; all of it counts as lost then."""
+
+
+def _lost(mesh: TriangleMesh, grid: _Grid, config: RepairConfig) -> _Lost:
+    solid = _level_set(grid.field, grid.low, grid.cell)
+    fine = _subdivided(mesh, 2 * grid.cell)
+    if _lid_share(solid, mesh, 2 * grid.cell) > config.lid_share:
+        return _Lost(solid, fine, 1.0, True)
+    lost = _lost_faces(mesh, fine, config.lost_cells * grid.cell)
+    area = _areas(fine)
+    share = float(area[lost].sum() / area.sum())
+    return _Lost(solid, TriangleMesh(fine.vertices, fine.faces[lost]), share, False)
 
 
 def _level_set(field: NDArray[np.float32], low: NDArray[np.float64], cell: float) -> TriangleMesh:
@@ -98,22 +143,20 @@ def _lid_share(solid: TriangleMesh, mesh: TriangleMesh, limit: float) -> float:
     return float(area[away > limit].sum() / area.sum())
 
 
-def _lost_faces(
-    fine: TriangleMesh,
-    solid: TriangleMesh,
-    field: NDArray[np.float32],
-    low: NDArray[np.float64],
-    cell: float,
-    limit: float,
-) -> NDArray[np.bool_]:
-    """Faces farther than `limit` from the level set that do not lie inside it."""
-    middle = fine.vertices[fine.faces].mean(axis=1)
-    node = np.rint((middle - low) / cell).astype(int)
-    outside = field[tuple(node.T)] > 0
-    if len(solid.faces) == 0:
-        return outside
-    _, away = distances(solid, middle)
-    return outside & (away > limit)
+def _lost_faces(mesh: TriangleMesh, fine: TriangleMesh, depth: float) -> NDArray[np.bool_]:
+    """Faces of a subdivision on neither side of which the inside of the mesh is `depth` deep.
+
+    Sheets have no inside, and that of walls thinner than the grid is a matter of where its nodes
+    happen to lie: what is left of them is lace.
+    """
+    corners = fine.vertices[fine.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    step = depth * np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
+    middle = corners.mean(axis=1)
+    sides = winding_distances(mesh, np.concatenate([middle - step, middle + step]))
+    inner, outer = np.split(sides, 2)
+    return (inner > 0) & (outer > 0)
 
 
 def _subdivided(mesh: TriangleMesh, longest: float) -> TriangleMesh:
@@ -131,12 +174,8 @@ def _areas(mesh: TriangleMesh) -> NDArray[np.float64]:
     return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
 
 
-def _simplified(mesh: TriangleMesh, tolerance: float) -> TriangleMesh:
+def _simplified(mesh: TriangleMesh, tolerance: float) -> TriangleMesh | None:
     """Simplify, and drop what lies inside another part or is wound inward."""
     solid = as_manifold(mesh)
-    if solid is None:
-        raise PrepareFailure(Status.NO_VOLUME, "the remeshed surface is not closed")
-    outer = [p for p in solid.decompose() if p.volume() > 0]
-    if not outer:
-        raise PrepareFailure(Status.NO_VOLUME, "the remeshed surface encloses nothing")
-    return as_mesh(union(outer).simplify(tolerance))
+    outer = [p for p in solid.decompose() if p.volume() > 0] if solid else []
+    return as_mesh(union(outer).simplify(tolerance)) if outer else None

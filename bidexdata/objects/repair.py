@@ -1,37 +1,45 @@
-"""From triangles to one closed solid: the lightest repair that works.
+"""From triangles to one closed solid: a ladder of repairs, the cheapest that works.
 
-In order: weld; fix winding and fill small holes; keep the closed components and drop crumbs; weld
-cracked seams; remesh from the winding number. Each test is whether manifold3d accepts the
-result as closed and oriented with a positive volume. All lengths are fractions of the diagonal.
+Each rung hands its result to the same judges: manifold3d accepts it as closed and oriented, it has
+a volume (`solids`), no part of it or of the input is far from the other (`deviation`: a lid over an
+opening that was meant to be one, or a part that got lost, shows there), and its walls are not paper.
+What a rung cannot do goes to the next; where none comes near enough, the nearest is taken. Only the last rungs, which
+give what is still open a new surface, change where surfaces are. All lengths are fractions of the
+diagonal.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from bidexdata.objects.closed import as_manifold, as_mesh, thinnest, union
+from bidexdata.objects.closed import as_manifold, convex_hull, thinnest
+from bidexdata.objects.components import components, joined, oriented, without_double_faces
 from bidexdata.objects.config import RepairConfig
+from bidexdata.objects.deviation import hausdorff
 from bidexdata.objects.failure import PrepareFailure
+from bidexdata.objects.holes import Filled, filled
 from bidexdata.objects.physics import mass_properties, surface_area
 from bidexdata.objects.prepared import TriangleMesh
-from bidexdata.objects.remesh import remesh, winding_number
+from bidexdata.objects.remesh import remesh
+from bidexdata.objects.solids import Closed, is_sheet, one_solid, united
 from bidexdata.objects.weld import weld
 from bidexdata.record.status import Status
 
-if TYPE_CHECKING:
-    from manifold3d import Manifold
-
-_NO_VOLUME = 1e-9
-"""Volume below which a mesh of unit diagonal encloses nothing."""
 _FLAT = 1e-6
 """Thickness below which a mesh of unit diagonal is a drawing in a plane."""
+_RIM = 0.02
+"""How far inner walls may reach out of the box of the outer ones."""
 _CRUMBS = 0.01
 """Share of the area in open components that may be dropped."""
 _AREA_KEPT = 0.99
 """Share of the area that a loose weld must keep."""
+_CONVEX = 0.985
+"""Share of its hull that a plate fills: one that is so thin is left alone."""
+_BETTER, _NEARLY = 0.7, 1.5
+"""A dearer repair is taken only where it brings the surface so much nearer, and nearly near."""
 
 
 class Repaired(NamedTuple):
@@ -39,10 +47,17 @@ class Repaired(NamedTuple):
 
     mesh: TriangleMesh
     method: str
-    """`as_is`, `loose_weld`, `light`, `components`, `remesh` or `remesh_shell`."""
+    """The rung: `as_is`, `orient`, `fill_holes`, `components`, `loose_weld`, `remesh` or
+    `remesh_shell`."""
+    steps: tuple[str, ...]
+    """What was done, in order; docs/sources.md lists the names."""
     warnings: tuple[str, ...]
     source: TriangleMesh
-    """The input after the weld, without copies of faces: what deviations are measured to."""
+    """The input after the weld: what deviations are measured to."""
+    hausdorff: float
+    """Hausdorff distance of the mesh to it, fraction of the diagonal."""
+    thin: bool
+    """Whether its walls are too thin to be taken where anything else is left."""
 
 
 def repair(mesh: TriangleMesh, config: RepairConfig) -> Repaired:
@@ -52,152 +67,185 @@ def repair(mesh: TriangleMesh, config: RepairConfig) -> Repaired:
         PrepareFailure: The triangles lie in a plane, or nothing closed came out.
     """
     if thinnest(mesh.vertices) < _FLAT:
-        raise PrepareFailure(Status.NO_VOLUME, "all vertices lie in a plane")
+        raise PrepareFailure(
+            Status.NO_VOLUME, "all vertices lie in a plane: give the sheet a thickness in the file"
+        )
     welded = weld(mesh, config.weld)
     if len(welded.faces) == 0:
         raise PrepareFailure(Status.NO_VOLUME, "every face is a line or a point")
-    tries: tuple[tuple[str, Callable[[], _Closed | None]], ...] = (
-        ("as_is", lambda: _one_solid(welded, config)),
-        ("light", lambda: _one_solid(_light_repair(welded), config)),
-        ("components", lambda: _closed_components(welded, config)),
+    rungs: tuple[tuple[str, Callable[[], Closed | None]], ...] = (
+        ("as_is", lambda: one_solid(welded, config)),
+        ("", lambda: _mended(welded, config)),
         ("loose_weld", lambda: _loosely_welded(welded, config)),
+        ("", lambda: _with_remeshed_parts(welded, config)),
+        ("", lambda: _remeshed(welded, config)),
     )
-    for method, attempt in tries:
+    best: Repaired | None = None
+    for name, attempt in rungs:
         found = attempt()
-        if found:
-            return Repaired(found.mesh, method, found.warnings, welded)
-    made, method, warnings = remesh(welded, config)
-    found = _one_solid(made, config)
-    if not found:
+        if found is None:
+            continue
+        away = hausdorff(found.mesh, welded, config.hausdorff_samples)
+        thin = thickness(found.mesh) < config.thin and not _is_convex(found.mesh)
+        steps = ("weld", *found.steps)
+        tried = Repaired(
+            found.mesh, name or _rung(steps), steps, found.warnings, welded, away, thin
+        )
+        best = tried if best is None else _better(best, tried, config)
+        if best.hausdorff <= config.near and not best.thin:
+            break
+    if best is None:
         raise PrepareFailure(Status.NO_VOLUME, "the remeshed surface encloses nothing")
-    return Repaired(found.mesh, method, warnings + found.warnings, welded)
+    return best._replace(warnings=best.warnings + _of_thickness(best.mesh, config))
 
 
-class _Closed(NamedTuple):
-    mesh: TriangleMesh
-    warnings: tuple[str, ...]
+def thickness(mesh: TriangleMesh) -> float:
+    """Mean thickness of the walls of a closed mesh: twice its volume over its area."""
+    return 2 * abs(mass_properties(mesh).volume) / surface_area(mesh)
 
 
-def _one_solid(mesh: TriangleMesh, config: RepairConfig) -> _Closed | None:
-    """Unite the components of a closed mesh; None when it is not closed or has no volume.
+def _better(best: Repaired, tried: Repaired, config: RepairConfig) -> Repaired:
+    """The one that is near and not too thin, else the nearer one; the cheaper of equals."""
+    if best.thin and not tried.thin:
+        return tried if tried.hausdorff <= max(config.near, best.hausdorff) else best
+    if tried.thin and not best.thin:
+        return best
+    # A new surface over an opening may bulge towards the input: that is nearer and no better.
+    worth = tried.hausdorff <= _NEARLY * config.near
+    return tried if worth and tried.hausdorff < _BETTER * best.hausdorff else best
 
-    Inward components are cavities where they lie inside another one, and are filled: convex
-    pieces could not show them. Elsewhere they are parts that were wound the wrong way.
-    """
-    solid = as_manifold(mesh)
+
+def _is_convex(mesh: TriangleMesh) -> bool:
+    hull = convex_hull(mesh.vertices).volume()
+    return mass_properties(mesh).volume >= _CONVEX * hull
+
+
+def _of_thickness(mesh: TriangleMesh, config: RepairConfig) -> tuple[str, ...]:
+    wall = thickness(mesh)
+    return (f"only {wall:.2%} of the diagonal thick",) if wall < config.thin else ()
+
+
+def _rung(steps: tuple[str, ...]) -> str:
+    """The rung that steps belong to: the most expensive of them names it."""
+    order = ("remesh_shell", "remesh", "drop_open", "fill_holes", "orient")
+    names = {"drop_open": "components"}
+    return next((names.get(s, s) for s in order if s in steps), "orient")
+
+
+class _Sorted(NamedTuple):
+    """Components that are closed, or became so, and those that are open."""
+
+    closed: list[TriangleMesh]
+    open: list[TriangleMesh]
+    holes: int
+    """Holes that were closed."""
+    lids: float
+    """Largest share of a component's area that its lids have."""
+
+    @property
+    def steps(self) -> tuple[str, ...]:
+        return ("drop_double_faces", "orient") + ("fill_holes",) * (self.holes > 0)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        if not self.holes:
+            return ()
+        return (f"{self.holes} holes closed, at most {self.lids:.1%} of a component's area",)
+
+
+def _mended(mesh: TriangleMesh, config: RepairConfig) -> Closed | None:
+    """Wind consistently, close holes; keep the closed components when the open ones are crumbs."""
+    found = _sorted(mesh, config)
+    share = sum(map(surface_area, found.open)) / surface_area(mesh)
+    if not found.closed or share > _CRUMBS:
+        return None
+    solid = _united(found.closed, config)
     if solid is None:
         return None
-    parts = solid.decompose()
-    if len(parts) == 1:
-        if abs(solid.volume()) < _NO_VOLUME:
-            return None
-        return _Closed(as_mesh(_outward(solid)), _turned(solid))
-    if len(parts) > config.max_components:
-        return None
-    outer = [p for p in parts if p.volume() > 0]
-    inner = [p for p in parts if p.volume() < 0]
-    cavities = [p for p in inner if _lies_inside(p, outer)]
-    wrong = [_outward(p) for p in inner if not any(p is c for c in cavities)]
-    total = sum(p.volume() for p in outer + wrong)
-    if total < _NO_VOLUME:
-        return None
-    warnings = []
-    if cavities:
-        warnings.append(f"{len(cavities)} inner cavities filled")
-    if wrong:
-        warnings.append(f"{len(wrong)} components turned outward")
-    kept = [p for p in outer + wrong if p.volume() >= config.min_part * total]
-    if len(kept) < len(outer) + len(wrong):
-        warnings.append(f"{len(outer) + len(wrong) - len(kept)} specks dropped")
-    whole = union(kept)
-    if whole.is_empty() or whole.volume() < _NO_VOLUME:
-        return None
-    return _Closed(as_mesh(_without_cavities(whole)), tuple(warnings))
+    steps, warnings = found.steps, found.warnings
+    if found.open:
+        steps += ("drop_open",)
+        warnings += (f"open parts with {share:.1%} of the area dropped",)
+    return Closed(solid.mesh, steps + solid.steps, warnings + solid.warnings)
 
 
-def _without_cavities(solid: Manifold) -> Manifold:
-    """Drop the inner surfaces that a union of overlapping walls leaves."""
-    parts = solid.decompose()
-    outer = [p for p in parts if p.volume() > 0]
-    return solid if len(outer) == len(parts) else union(outer)
+def _sorted(mesh: TriangleMesh, config: RepairConfig) -> _Sorted:
+    """Split into components and close what can be closed by lids.
+
+    A lid that would be a large part of a component shows that it is an open shell or a sheet. The
+    walls of a cavity that are not joined to the outer walls must not get lids of their own either:
+    what lies between them is theirs to enclose.
+    """
+    parts = components(oriented(without_double_faces(mesh)))
+    tries = [filled(part) for part in parts]
+    hollow = _hollow(parts, tries)
+    found = _Sorted([], [], 0, 0.0)
+    for part, lids, walls in zip(parts, tries, hollow, strict=True):
+        if lids is None or walls or lids.share > config.lid_share or not _is_solid(lids.mesh):
+            found.open.append(part)
+            continue
+        found.closed.append(lids.mesh)
+        found = found._replace(holes=found.holes + lids.holes, lids=max(found.lids, lids.share))
+    return found
 
 
-def _outward(solid: Manifold) -> Manifold:
-    if solid.volume() >= 0:
-        return solid
-    mesh = as_mesh(solid)
-    turned = as_manifold(TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]))
-    assert turned is not None, "a closed mesh stays closed when it is turned inside out"
-    return turned
+def _is_solid(mesh: TriangleMesh) -> bool:
+    return as_manifold(mesh) is not None and not is_sheet(mesh)
 
 
-def _turned(solid: Manifold) -> tuple[str, ...]:
-    return ("faces turned outward",) if solid.volume() < 0 else ()
+def _hollow(parts: list[TriangleMesh], tries: list[Filled | None]) -> list[bool]:
+    """Which components with holes are the outer or inner walls of an open cavity."""
+    boxes = [np.stack([p.vertices.min(axis=0), p.vertices.max(axis=0)]) for p in parts]
+    holed = [k for k, t in enumerate(tries) if t is not None and t.holes]
+    volume = {k: mass_properties(parts[k]).volume for k in holed}
+    walls = [False] * len(parts)
+    for inner in (k for k in holed if volume[k] < 0):
+        for outer in (k for k in holed if volume[k] > 0):
+            low, high = boxes[inner] - boxes[outer]
+            if (low >= -_RIM).all() and (high <= _RIM).all():
+                walls[inner] = walls[outer] = True
+    return walls
 
 
-def _lies_inside(part: Manifold, others: list[Manifold]) -> bool:
-    """Tell whether a vertex of `part` is inside one of the other closed parts."""
-    point = as_mesh(part).vertices[0]
-    for other in others:
-        box = np.reshape(other.bounding_box(), (2, 3))
-        within = np.all(point > box[0]) and np.all(point < box[1])
-        if within and winding_number(as_mesh(other), point) > 0.5:
-            return True
-    return False
+def _united(parts: list[TriangleMesh], config: RepairConfig) -> Closed | None:
+    solids = [s for s in map(as_manifold, parts) if s is not None]
+    return united([p for s in solids for p in s.decompose()], config)
 
 
-def _loosely_welded(mesh: TriangleMesh, config: RepairConfig) -> _Closed | None:
+def _loosely_welded(mesh: TriangleMesh, config: RepairConfig) -> Closed | None:
     looser = weld(mesh, config.loose_weld)
     if len(looser.faces) == 0 or surface_area(looser) < _AREA_KEPT * surface_area(mesh):
         return None
-    return _one_solid(looser, config)
+    found = one_solid(looser, config) or _mended(looser, config)
+    return found and found._replace(steps=("loose_weld", *found.steps))
 
 
-def _light_repair(mesh: TriangleMesh) -> TriangleMesh:
-    """Drop double faces, make the winding of each component consistent, close small holes."""
-    import trimesh
-
-    made = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    made.update_faces(made.unique_faces())
-    trimesh.repair.fill_holes(made)
-    trimesh.repair.fix_normals(made, multibody=True)
-    return TriangleMesh(np.asarray(made.vertices), np.asarray(made.faces, np.int32))
-
-
-def _closed_components(mesh: TriangleMesh, config: RepairConfig) -> _Closed | None:
-    """Keep the closed components when the open ones are crumbs."""
-    import trimesh
-
-    light = _light_repair(mesh)
-    whole = trimesh.Trimesh(light.vertices, light.faces, process=False)
-    labels = trimesh.graph.connected_component_labels(
-        whole.face_adjacency, node_count=len(light.faces)
+def _with_remeshed_parts(mesh: TriangleMesh, config: RepairConfig) -> Closed | None:
+    """Give what is open a new surface and unite it with what is closed."""
+    found = _sorted(mesh, config)
+    if not found.closed or not found.open or len(found.closed) > config.max_components:
+        return None
+    share = sum(map(surface_area, found.open)) / surface_area(mesh)
+    made = remesh(joined(found.open), config)
+    solid = made and _united([*found.closed, made.mesh], config)
+    text = f"the open parts, {share:.0%} of the area, have a new surface"
+    return (
+        made
+        and solid
+        and Closed(
+            solid.mesh,
+            (*found.steps, *made.steps, *solid.steps),
+            (*found.warnings, text, *made.warnings, *solid.warnings),
+        )
     )
-    count = int(labels.max()) + 1
-    if count > config.max_components:
-        return None
-    closed, dropped = [], 0.0
-    total = surface_area(light)
-    for k in range(count):
-        part = TriangleMesh(light.vertices, light.faces[labels == k])
-        used, faces = np.unique(part.faces, return_inverse=True)
-        part = TriangleMesh(part.vertices[used], faces.reshape(-1, 3).astype(np.int32))
-        if as_manifold(part) is not None and mass_properties(part).volume > _NO_VOLUME:
-            closed.append(part)
-            continue
-        dropped += surface_area(part)
-        if dropped > _CRUMBS * total:
-            return None
-    found = _one_solid(_joined(closed), config) if closed else None
-    if not found:
-        return None
-    share = f"open parts with {dropped / total:.1%} of the area dropped"
-    return _Closed(found.mesh, (*found.warnings, share))
 
 
-def _joined(parts: list[TriangleMesh]) -> TriangleMesh:
-    offsets = np.cumsum([0] + [len(p.vertices) for p in parts])
-    faces = [p.faces + offset for p, offset in zip(parts, offsets, strict=False)]
-    return TriangleMesh(
-        np.concatenate([p.vertices for p in parts]), np.concatenate(faces).astype(np.int32)
+def _remeshed(mesh: TriangleMesh, config: RepairConfig) -> Closed | None:
+    """Give everything a new surface."""
+    made = remesh(mesh, config)
+    solid = made and one_solid(made.mesh, config)
+    return (
+        made
+        and solid
+        and Closed(solid.mesh, made.steps + solid.steps, made.warnings + solid.warnings)
     )

@@ -67,7 +67,7 @@ _SENTENCES = {
     Status.UNREADABLE: "the file could not be read as a mesh",
     Status.NO_FACES: "the file holds no faces",
     Status.NOT_FINITE_MESH: "vertices are not finite numbers or all lie in one point",
-    Status.TOO_COMPLEX: "the mesh needs more memory than the stated bound",
+    Status.TOO_COMPLEX: "the file needs more memory or time than a stated bound",
     Status.NO_VOLUME: "no closed solid could be made of the mesh",
     Status.DECOMPOSITION_FAILED: "no convex pieces could be made of the mesh",
     Status.TIMED_OUT: "preparing took longer than the time limit; a re-run tries again",

@@ -36,7 +36,6 @@ from bidexdata.runs.import_scan import (
 )
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.made_with import package_versions
-from bidexdata.runs.memory import limit_memory
 from bidexdata.runs.plan import Task, write_plan
 from bidexdata.runs.run import PLAN_FILE, Run, open_unchanged, refuse_foreign
 from bidexdata.runs.shards import done_tasks, shard_path, sweep, write_shard
@@ -47,6 +46,7 @@ from bidexdata.runs.spec import (
     write_spec,
 )
 from bidexdata.runs.stage import StageReport, TaskExecution, TaskSummary, run_stage
+from bidexdata.runs.worker_limits import limit_memory
 
 if TYPE_CHECKING:
     from bidexdata.formats.importers.format import Format, ObjectSource, Placed

@@ -15,10 +15,10 @@ from bidexdata.objects.storage import read_document, write_object
 from bidexdata.record import Status
 from bidexdata.runs.executors import TaskFailure, run_tasks
 from bidexdata.runs.import_scan import MEMORY_GIB, FileRow
-from bidexdata.runs.memory import limit_memory
 from bidexdata.runs.object_folders import index_columns, is_made, remove_partials
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.stage import TaskExecution
+from bidexdata.runs.worker_limits import limit_memory
 
 if TYPE_CHECKING:
     from bidexdata.formats.importers.format import Format, ObjectSource

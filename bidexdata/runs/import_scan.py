@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bidexdata.errors import Contradiction
 from bidexdata.runs.executors import TaskFailure, run_tasks
-from bidexdata.runs.memory import limit_memory
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.shards import write_atomically
+from bidexdata.runs.worker_limits import limit_memory
 
 if TYPE_CHECKING:
     from bidexdata.formats.importers.format import ForeignGrasps, Format

@@ -18,8 +18,8 @@ from bidexdata.runs.prepare_parts import Row
 from bidexdata.runs.shards import orphans
 
 MADE = (
-    *("source_faces", "source_diagonal", "repair", "hausdorff", "piece_method", "pieces"),
-    *("volume_ratio", "solid_hausdorff", "warnings"),
+    *("source_faces", "source_diagonal", "repair", "repair_steps", "hausdorff"),
+    *("piece_method", "pieces", "volume_ratio", "solid_hausdorff", "warnings"),
 )
 """Columns of the index that only making an object gives; an import leaves some out."""
 

@@ -33,11 +33,11 @@ from bidexdata.objects.sources import SourceItem, fetched, resolve_sources
 from bidexdata.objects.storage import read_document, write_object
 from bidexdata.record.status import Status
 from bidexdata.runs.executors import TaskFailure, check_executor, run_tasks
-from bidexdata.runs.memory import limit_memory
 from bidexdata.runs.object_folders import index_columns, is_made, remove_partials
 from bidexdata.runs.plan import take_shard
 from bidexdata.runs.prepare_parts import Parts, Row
 from bidexdata.runs.progress import Progress
+from bidexdata.runs.worker_limits import CPU_SIGNAL, limit_memory, limited_cpu
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +181,8 @@ def prepare_one(task: PrepareTask) -> Row:
     """
     limit_memory(task.config.limits.memory_gib)
     try:
-        obj = prepare_object(task.item, task.config)
+        with limited_cpu(task.config.limits.cpu_seconds):
+            obj = prepare_object(task.item, task.config)
     except PrepareFailure as failure:
         return _failed(failure.status, failure.reason)
     except MemoryError:
@@ -211,7 +212,7 @@ def _plan(
         }
         rows.append(row)
         try:
-            data = source_bytes(item)
+            data = source_bytes(item, config.load.max_bytes)
         except PrepareFailure as failure:
             row.update(_failed(failure.status, failure.reason))
             continue
@@ -241,6 +242,9 @@ def _run(
             yield number, result
         elif result.kind == "timeout":
             yield number, _failed(Status.TIMED_OUT, f"took longer than {wall:g} s")
+        elif CPU_SIGNAL in result.reason:
+            bound = f"limits.cpu_seconds = {config.limits.cpu_seconds:g} CPU s used up"
+            yield number, _failed(Status.TOO_COMPLEX, f"{bound}: decimate the mesh")
         else:
             yield number, _failed(Status.CRASHED, result.reason)
 

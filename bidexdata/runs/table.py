@@ -84,15 +84,17 @@ def write_table(
 
 
 def library_rows(library: Library) -> pa.Table:
-    """The index of a library: one row per input, the status in a word, warnings joined by `; `."""
+    """The index of a library: one row per input, the status in a word, lists joined by `; `."""
     import pyarrow as pa
 
     table = library.index.drop_columns(["status"])
     names = ["status" if n == "status_label" else n for n in table.column_names]
     table = table.rename_columns(names)
-    at = table.column_names.index("warnings")
-    joined = ["; ".join(w) if w else None for w in table.column("warnings").to_pylist()]
-    return table.set_column(at, "warnings", pa.array(joined, pa.string()))
+    for at, field in enumerate(table.schema):
+        if pa.types.is_list(field.type):
+            joined = ["; ".join(w) if w else None for w in table.column(at).to_pylist()]
+            table = table.set_column(at, field.name, pa.array(joined, pa.string()))
+    return table
 
 
 def run_rows(run: Run, protocol: str) -> Iterator[pa.Table]:

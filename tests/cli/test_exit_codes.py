@@ -59,6 +59,11 @@ WRITTEN = [
     ([*PREPARE, "--shard", "1/1"], "--shard '1/1'"),
     ([*PREPARE, "--seed", "x"], "--seed"),
     (["prepare", "shapes:box/0", "--out", "{tmp}/library"], "FAMILY/COUNT"),
+    # a source without what it needs
+    (["prepare", "dexgraspnet:", *PREPARE[2:]], "write dexgraspnet:PATH"),
+    (["prepare", "bodex:", *PREPARE[2:]], "write bodex:PATH"),
+    (["prepare", "objaverse:random=0", *PREPARE[2:]], "whole number from 1"),
+    (["prepare", "objaverse:uids=a,lvis=mug", *PREPARE[2:]], "do not go together"),
     # a number outside its range
     ([*SYNTH, "--grasps", "0"], "--grasps"),
     ([*SYNTH, "--grasps", "20000"], "--grasps"),
@@ -100,6 +105,11 @@ NAMED = [
     (["info", "{tmp}/nothing"], "nothing: no such file or folder"),
     (["verify", "{tmp}"], "is no release (manifest.json is missing)"),
     ([*SYNTH, "--config", "{tmp}/no.yaml"], "no.yaml: no such file"),
+    # a source that holds no object of its kind
+    (["prepare", "{tmp}", *PREPARE[2:]], "mesh files in it"),
+    (["prepare", "dexgraspnet:{tmp}", *PREPARE[2:]], "no object is in it"),
+    (["prepare", "bodex:{tmp}/nowhere", *PREPARE[2:]], "nowhere: no such file or folder"),
+    (["prepare", "objaverse:uids={tmp}/no.txt", *PREPARE[2:]], "no.txt: no such file"),
     # a file that is no YAML mapping
     ([*SYNTH, "--config", "{tmp}/broken.yaml"], "not valid YAML"),
     ([*PREPARE, "--config", "{tmp}/list.yaml"], "expected a mapping"),

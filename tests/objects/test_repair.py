@@ -7,14 +7,24 @@ import numpy as np
 import pytest
 
 from bidexdata.objects.closed import as_manifold, as_mesh
-from bidexdata.objects.config import PrepareConfig, RepairConfig, SdfConfig, SurfaceConfig
+from bidexdata.objects.components import oriented
+from bidexdata.objects.config import (
+    LoadConfig,
+    PrepareConfig,
+    RepairConfig,
+    SdfConfig,
+    SurfaceConfig,
+)
+from bidexdata.objects.debris import without_debris
 from bidexdata.objects.deviation import hausdorff
 from bidexdata.objects.failure import PrepareFailure
+from bidexdata.objects.holes import filled
+from bidexdata.objects.loading import unit_mesh
 from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepare import prepare_object
 from bidexdata.objects.prepared import TriangleMesh
-from bidexdata.objects.remesh import winding_number
-from bidexdata.objects.repair import repair
+from bidexdata.objects.repair import repair, thickness
+from bidexdata.objects.solids import winding_number
 from bidexdata.objects.weld import weld
 from bidexdata.record.status import Status
 
@@ -77,14 +87,15 @@ def test_faces_that_point_both_ways_are_made_consistent(ball):
     flip = np.random.default_rng(1).random(len(ball.faces)) < 0.5
     faces = np.where(flip[:, None], ball.faces[:, ::-1], ball.faces)
     repaired = repair(TriangleMesh(ball.vertices, faces), CONFIG)
-    assert repaired.method == "light"
+    assert repaired.method == "orient"
+    assert repaired.steps == ("weld", "drop_double_faces", "orient")
     assert volume(repaired.mesh) == pytest.approx(volume(ball), rel=1e-9)
 
 
 def test_double_faces_and_a_small_hole_are_repaired_lightly(ball):
     faces = np.concatenate([ball.faces[1:], ball.faces[5:50]])
     repaired = repair(TriangleMesh(ball.vertices, faces), CONFIG)
-    assert repaired.method == "light"
+    assert repaired.method == "fill_holes"
     assert volume(repaired.mesh) == pytest.approx(volume(ball), rel=1e-9)
 
 
@@ -121,16 +132,92 @@ def test_open_crumbs_are_dropped_and_their_area_is_named(box):
     assert "dropped" in repaired.warnings[-1]
 
 
-def test_a_ball_without_its_cap_is_closed_from_the_winding_number(ball):
+def test_a_ball_without_its_cap_gets_a_flat_lid_and_keeps_the_rest(ball):
     middle = ball.vertices[ball.faces].mean(axis=1)
     open_ball = TriangleMesh(ball.vertices, ball.faces[middle[:, 2] < 0.2])
     repaired = repair(open_ball, CONFIG)
-    assert repaired.method == "remesh"
+    assert repaired.method == "fill_holes"
     cap = np.pi * 0.1**2 * (3 * 0.3 - 0.1) / 3
-    assert volume(repaired.mesh) == pytest.approx(volume(ball) - cap, rel=0.05)
-    below = repaired.mesh.vertices[:, 2] < 0.15
-    away = np.abs(np.linalg.norm(repaired.mesh.vertices[below], axis=1) - 0.3)
-    assert away.max() < CELL
+    assert volume(repaired.mesh) == pytest.approx(volume(ball) - cap, rel=0.02)
+    assert len(repaired.mesh.vertices) == len(np.unique(open_ball.faces))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_holes_anywhere_are_closed_without_moving_a_vertex(ball, seed):
+    """Single faces, rings that touch at a vertex, and cracks: every edge is used once each way."""
+    rng = np.random.default_rng(seed)
+    gone = rng.random(len(ball.faces)) < 0.05
+    found = filled(TriangleMesh(ball.vertices, ball.faces[~gone]))
+    assert found is not None
+    a, b = found.mesh.faces.ravel(), np.roll(found.mesh.faces, -1, axis=1).ravel()
+    assert sorted(zip(a, b, strict=True)) == sorted(zip(b, a, strict=True))
+    assert as_manifold(found.mesh) is not None
+    assert volume(found.mesh) == pytest.approx(volume(ball), rel=0.02)
+    assert np.array_equal(found.mesh.faces[: int((~gone).sum())], ball.faces[~gone])
+
+
+def test_winding_that_differs_across_an_edge_has_no_lids(ball):
+    faces = ball.faces.copy()
+    faces[7] = faces[7, ::-1]
+    assert filled(TriangleMesh(ball.vertices, faces)) is None
+    assert filled(oriented(TriangleMesh(ball.vertices, faces))).holes == 0
+
+
+def test_a_cup_of_two_walls_that_do_not_meet_stays_hollow(ball):
+    # Outer and inner wall of a bowl, the rim between them missing.
+    bowl = ball.faces[ball.vertices[ball.faces].mean(axis=1)[:, 2] < 0.15]
+    outer = TriangleMesh(ball.vertices, bowl)
+    inner = turned(TriangleMesh(0.85 * ball.vertices + [0, 0, 0.0225], bowl))
+    repaired = repair(joined(outer, inner), CONFIG)
+    assert "remesh" in repaired.steps
+    assert winding_number(repaired.mesh, np.array([0.0, 0, 0])) == pytest.approx(0, abs=1e-6)
+    assert repaired.hausdorff < 2 * CELL  # half of the rim that was missing
+
+
+def test_what_is_closed_keeps_its_surface_when_a_sheet_beside_it_is_thickened():
+    block = cube((0.4, 0.3, 0.2))
+    flag = TriangleMesh(
+        np.array([[0.15, 0, 0.05], [0.6, 0, 0.05], [0.6, 0, 0.4], [0.15, 0.05, 0.4]]),
+        np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+    )
+    repaired = repair(joined(block, flag), CONFIG)
+    assert repaired.method == "remesh_shell"
+    corners = block.vertices[:, None] - repaired.mesh.vertices[None]
+    assert np.linalg.norm(corners, axis=2).min(axis=1).max() < FLOAT32
+    assert repaired.hausdorff < 1.5 * CELL
+
+
+def test_walls_thinner_than_a_cell_do_not_become_lace():
+    # Four walls and a floor of 0.006 with the floor's lower face missing, cut so that no lid is small.
+    outer, inner = cube((0.6, 0.6, 0.4)), cube((0.588, 0.588, 0.4), (0, 0, 0.006))
+    tray = as_mesh(as_manifold(outer) - as_manifold(inner))
+    middle = tray.vertices[tray.faces].mean(axis=1)
+    rim = np.isclose(middle[:, 2], 0.2)
+    repaired = repair(TriangleMesh(tray.vertices, tray.faces[~rim]), CONFIG)
+    assert repaired.hausdorff < CELL
+    solid = as_manifold(repaired.mesh)
+    assert solid.genus() == 0
+    assert solid.volume() == pytest.approx(volume(tray), rel=0.25)
+
+
+def test_paper_is_made_thicker_and_plates_are_left_alone():
+    outer, inner = cube((0.6, 0.5, 0.4)), cube((0.5994, 0.4994, 0.4), (0, 0, 0.0003))
+    carton = as_mesh(as_manifold(outer) - as_manifold(inner))
+    assert thickness(carton) < CONFIG.thin
+    repaired = repair(carton, CONFIG)
+    assert repaired.method == "remesh_shell"
+    assert thickness(repaired.mesh) > CONFIG.thin
+    plate = repair(cube((0.8, 0.55, 0.0004)), CONFIG)
+    assert plate.method == "as_is"
+    assert plate.warnings == ("only 0.04% of the diagonal thick",)
+
+
+def test_a_large_part_without_volume_is_no_debris(ball):
+    """A sheet of two sides has no volume, and must not vanish for that."""
+    sheet = np.array([[0.0, 0, 0.2], [0.5, 0, 0.6], [0.5, 0.3, 0.6], [0, 0.3, 0.2]])
+    faces = np.array([[0, 1, 2], [0, 2, 3], [2, 1, 0], [3, 2, 0]], np.int32)
+    repaired = repair(joined(ball, TriangleMesh(sheet, faces)), CONFIG)
+    assert repaired.hausdorff < 1.5 * CELL
 
 
 def test_an_open_sheet_gets_the_stated_thickness():
@@ -209,4 +296,35 @@ def test_specks_are_dropped_and_the_object_keeps_its_scale(ball):
     among = prepare_object(joined(ball, *specks), COARSE)
     assert among.volume == pytest.approx(alone.volume, rel=0.05)  # 64 vertices each
     assert among.provenance["unit_in_file"] == pytest.approx(0.6 * np.sqrt(3), rel=0.05)
-    assert "2 specks dropped" in among.provenance["warnings"]
+    assert "2 specks dropped that lie apart" in among.provenance["warnings"]
+
+
+def test_details_that_are_attached_or_close_are_no_debris(ball):
+    loaded = unit_mesh(
+        joined(
+            ball,
+            *(
+                TriangleMesh(0.005 * ball.vertices + [x, 0, 0], ball.faces)
+                for x in (0.3, 0.303, 0.4)
+            ),
+        ),
+        LoadConfig(),
+    )
+    kept, dropped = without_debris(loaded, CONFIG)
+    assert dropped == 1
+    assert len(kept.mesh.faces) == 3 * len(ball.faces)
+    assert kept.diagonal < loaded.diagonal
+
+
+def test_one_far_triangle_does_not_set_the_scale(ball):
+    far = TriangleMesh(np.eye(3) * 0.01 + [300.0, 0, 0], np.array([[0, 1, 2]], np.int32))
+    alone, among = prepare_object(ball, COARSE), prepare_object(joined(ball, far), COARSE)
+    assert among.volume == pytest.approx(alone.volume, rel=1e-3)
+    assert among.provenance["repair"] == "as_is"
+    assert among.provenance["repair_steps"] == ["drop_debris", "weld"]
+
+
+def test_a_lid_is_flat_where_a_new_surface_would_only_bulge(ball):
+    middle = ball.vertices[ball.faces].mean(axis=1)
+    repaired = repair(TriangleMesh(ball.vertices, ball.faces[middle[:, 2] < 0.12]), CONFIG)
+    assert repaired.method == "fill_holes"

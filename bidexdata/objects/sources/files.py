@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import glob
 import os
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from bidexdata.errors import PathNotFound
-from bidexdata.objects.loading import SUFFIXES
+from bidexdata.objects.readers import SUFFIXES
+from bidexdata.objects.readers.inside import lies_inside
 from bidexdata.objects.sources.item import SourceItem
 from bidexdata.objects.sources.lists import SIDE_LIST, side_list
 
@@ -39,7 +41,12 @@ def folder_items(folder: Path) -> list[SourceItem]:
         found += [Path(root, name) for name in names if _is_mesh(name)]
     if not found:
         raise PathNotFound(folder, f"mesh files in it ({', '.join(SUFFIXES)})")
-    items = [SourceItem(source_name=p.relative_to(folder).as_posix(), path=p) for p in found]
+    items = [
+        SourceItem(
+            source_name=p.relative_to(folder).as_posix(), path=p, problem=leaving([p], folder)
+        )
+        for p in found
+    ]
     return described(sorted(items, key=byte_order), folder)
 
 
@@ -56,6 +63,21 @@ def glob_items(pattern: str) -> list[SourceItem]:
     items = [SourceItem(source_name=p.as_posix(), path=p) for p in found]
     items.sort(key=byte_order)
     return [described([item], item.path.parent)[0] for item in items if item.path]
+
+
+def leaving(paths: Iterable[Path], folder: Path) -> str:
+    """Say which of the paths is a link out of a folder; empty when none is.
+
+    A folder may come from anywhere, and its links must not make files of this machine readable;
+    who names a file by itself, by a glob or in a list has seen it.
+    """
+    for path in paths:
+        if not lies_inside(path, folder):
+            return (
+                f"{path.name} is a link to outside of the folder and was not read; "
+                "name it by a glob or in a list to allow that"
+            )
+    return ""
 
 
 def described(items: list[SourceItem], folder: Path) -> list[SourceItem]:

@@ -9,11 +9,12 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from bidexdata.errors import BadValue, NotUsable, PathNotFound
-from bidexdata.objects.sources.files import byte_order, described
+from bidexdata.objects.sources.files import byte_order, described, leaving
 from bidexdata.objects.sources.item import UNKNOWN, SourceItem
 
 UNIT_SPHERE = "unit sphere"
@@ -100,7 +101,8 @@ def _tree(
         inside = Path(root).relative_to(top)
         item = item_of(Path(root), inside.as_posix() if inside.parts else top.resolve().name)
         if item is not None:
-            items.append(item)
+            read = (*item.pieces, *(() if item.shown is None else (item.shown,)))
+            items.append(replace(item, problem=item.problem or leaving(read, top)))
             folders.clear()
         folders[:] = [name for name in folders if not name.startswith(".")]
     if not items:

@@ -1,0 +1,135 @@
+"""What becomes of a folder of broken files: `python -m benchmarks.hostile FOLDER [--out PAGE.md]`.
+
+One worker prepares them one by one, as `bidexdata prepare FOLDER --workers 1` would. The page has a
+row per file: what became of it, its wall-clock time and the largest resident memory of its worker (Linux).
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from benchmarks.machine import describe_machine
+from bidexdata.objects.config import PrepareConfig
+from bidexdata.objects.identity import object_id_of
+from bidexdata.objects.library import object_folder
+from bidexdata.objects.sources import resolve_sources
+from bidexdata.objects.storage import read_document
+from bidexdata.record.status import Status
+from bidexdata.runs.executors import TaskFailure, run_tasks
+from bidexdata.runs.prepare import PrepareTask, prepare_one
+
+PAGE = Path("docs/hostile_files.md")
+_STATUS, _CLEAR_REFS = Path("/proc/self/status"), Path("/proc/self/clear_refs")
+
+
+class Told(NamedTuple):
+    """What became of one file."""
+
+    label: str
+    text: str
+    """The reason, or how it was repaired and its warnings."""
+    seconds: float
+    mebibytes: int
+    """Largest resident memory of the worker; 0 where the system does not say."""
+    child: int
+    """The same of any decomposition so far."""
+
+
+def measured(task: PrepareTask) -> Told:
+    """Prepare one file in a worker and measure it."""
+    _forget_peak()
+    start = time.perf_counter()
+    row = prepare_one(task)
+    seconds = time.perf_counter() - start
+    memory, child = _peak(), resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss // 1024
+    if row.get("status"):
+        return Told(Status(row["status"]).label, str(row["reason"]), seconds, memory, child)
+    known = read_document(task.library / object_folder(task.object_id))["provenance"]
+    text = f"{known['repair']}, {known['hausdorff']:.2%} of the diagonal from the input"
+    return Told("ok", "; ".join([text, *known["warnings"]]), seconds, memory, child)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Prepare the files of a folder and write the page."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.hostile", description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--out", type=Path, default=PAGE)
+    options = parser.parse_args(arguments)
+    config = PrepareConfig()
+    told: dict[str, Told] = {}
+    with tempfile.TemporaryDirectory() as place:
+        tasks = {}
+        for item in resolve_sources([str(options.folder)]):
+            assert item.path is not None
+            data = item.path.read_bytes()
+            task = PrepareTask(
+                item, object_id_of(item, data), item.source_name, Path(place), config
+            )
+            tasks[item.source_name] = task
+        wall = config.limits.wall_seconds
+        for task, result in run_tasks(list(tasks.values()), measured, workers=1, timeout=wall):
+            name = task.item.source_name
+            bad = isinstance(result, TaskFailure)
+            told[name] = Told(result.kind, result.reason, wall, 0, 0) if bad else result
+            print(f"{name}: {told[name].label} in {told[name].seconds:.1f} s", flush=True)
+    options.out.write_text(page({name: told[name] for name in tasks}), encoding="utf-8")
+    return 0
+
+
+def page(told: dict[str, Told]) -> str:
+    """The page as Markdown."""
+    counts = Counter(t.label for t in told.values())
+    slowest = max(told, key=lambda name: told[name].seconds)
+    largest = max(told, key=lambda name: told[name].mebibytes)
+    machine = describe_machine()
+    lines = [
+        "# Broken and hostile files",
+        "",
+        "What `bidexdata prepare` makes of files that are cut off, lie about themselves, hold meshes that",
+        "no solid can be made of, or attack the reader. Names state the defect; those that begin with",
+        "`legal` are valid. Written by `python -m benchmarks.hostile FOLDER`; the files are no part of the",
+        "project. Bounds and rules are in [sources.md](sources.md).",
+        "",
+        f"{len(told)} files: "
+        + ", ".join(f"{n} {label}" for label, n in counts.most_common())
+        + ".",
+        f"Slowest: `{slowest}`, {told[slowest].seconds:.1f} s. Largest memory:",
+        f"`{largest}`, {told[largest].mebibytes} MiB resident; the decomposition, a process of its own,",
+        f"at most {max(t.child for t in told.values())} MiB.",
+        f"Machine: {machine['cpu']}, one worker." if "cpu" in machine else "One worker.",
+        "",
+        "| file | what became of it | why, or how | s | MiB |",
+        "|---|---|---|---|---|",
+    ]
+    for name, t in told.items():
+        text = t.text.replace("|", "\\|").replace("<", "&lt;")
+        lines.append(f"| `{name}` | {t.label} | {text} | {t.seconds:.1f} | {t.mebibytes} |")
+    return "\n".join(lines) + "\n"
+
+
+def _forget_peak() -> None:
+    """Begin to measure the largest resident memory anew."""
+    try:
+        _CLEAR_REFS.write_text("5")
+    except OSError:
+        return
+
+
+def _peak() -> int:
+    try:
+        text = _STATUS.read_text()
+    except OSError:
+        return 0
+    return next(int(x.split()[1]) // 1024 for x in text.splitlines() if x.startswith("VmHWM"))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
