@@ -18,6 +18,8 @@ RUN_FILE = "run.json"
 MANIFEST = "manifest.json"
 OBJECTS = "objects"
 """Folder of the objects, in a library and in a release."""
+REPORT = "report.html"
+"""The page about a library, which is no part of it."""
 PARTS = ".parts"
 """What machines that prepare one library leave for each other; gone when it is finished."""
 
@@ -51,7 +53,8 @@ def kind_of(path: str | Path) -> Kind:
             return kind
     # Without its index a library is objects alone; a broken release has more beside them.
     if (path / OBJECTS).is_dir() or (path / PARTS).is_dir():
-        others = [p for p in path.iterdir() if p.name != OBJECTS and not p.name.startswith(".")]
+        own = (OBJECTS, REPORT)
+        others = [p for p in path.iterdir() if p.name not in own and not p.name.startswith(".")]
         return "nothing" if others else "library"
     return "nothing"
 

@@ -26,7 +26,11 @@ def prepare(
         int | None, typer.Option(min=1, help="Only the first N inputs in byte order of the path.")
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="List the inputs and write nothing.")
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="List the inputs and what the selection (--set select...) leaves out; write nothing.",
+        ),
     ] = False,
     workers: options.Workers = 0,
     executor: options.ExecutorName = "processes",
@@ -49,11 +53,12 @@ def prepare(
     each the same inputs and another part; the part that finishes last writes the index, and the
     library is the one that a single machine makes.
 
-    --json keys: library, inputs, prepared, hulls, resumed, by_status, failures (source_name, status,
+    --json keys: library, inputs, prepared, hulls, resumed, made (inputs that this call worked on), by_status, failures (source_name, status,
     reason; a duplicate is none), warnings (source_name, warning), waiting (inputs of other parts that are not done), seconds,
     fingerprint. While some are waiting, the others count this part only.
     """
     from bidexdata.errors import NothingSucceeded
+    from bidexdata.kinds import REPORT
     from bidexdata.objects.config import PrepareConfig
     from bidexdata.runs.prepare import prepare_library
 
@@ -71,8 +76,11 @@ def prepare(
     )
     data = report.as_dict()
     if dry_run:
-        lines = [str(r["source_name"]) for r in report.rows]
-        lines.append(f"{counted(len(report.rows), 'input')}; nothing was written")
+        lines = [f"{r['source_name']}{r['reason'] and ': '}{r['reason']}" for r in report.rows]
+        lines.append(
+            f"{counted(len(report.rows), 'input')} ({counts_text(report.by_status)}); "
+            "nothing was written"
+        )
     else:
         lines = [f"{r['source_name']}: {r['reason']}" for r in data["failures"]]
         lines.append(
@@ -80,6 +88,10 @@ def prepare(
             f"({counts_text(report.by_status)}; {report.hulls} replaced by the hull) "
             f"in {report.seconds:.1f} s"
         )
+        if not report.made and not report.waiting:
+            lines.append(f"nothing to do: every input was settled before; {out / REPORT} shows all")
+        elif not report.waiting:
+            lines.append(f"{out / REPORT} shows every input: open it in a browser")
         warned = {w["source_name"] for w in data["warnings"]}
         if warned:
             lines.append(

@@ -15,6 +15,7 @@ from bidexdata.objects.physics import MassProperties, mass_properties, rest_pose
 from bidexdata.objects.prepared import PreparedObject, TriangleMesh
 from bidexdata.objects.sdf import signed_distance_grid
 from bidexdata.objects.surface import surface_points
+from bidexdata.objects.traits import descriptor
 from bidexdata.record.status import Status
 
 _SLIVERS = (1e-5, 1e-6)
@@ -107,6 +108,7 @@ def assembled(
     hull = as_mesh(convex_hull(solid.mesh.vertices))
     rest = rest_poses(hull, config.rest)
     points, normals = surface_points(solid.mesh, config.surface)
+    shape = [round(float(x), 6) for x in descriptor(points, solid.mesh)]
     display = _fewer_faces(display, config.repair.display_faces)
     moved = _rounded((display.vertices - solid.centre) / solid.diagonal)
     return PreparedObject(
@@ -118,7 +120,7 @@ def assembled(
         rest_quats_wxyz=rest.quats_wxyz,
         rest_heights=rest.heights,
         rest_probabilities=rest.probabilities,
-        provenance=provenance,
+        provenance={**provenance, "descriptor": shape},
         solid=solid.mesh,
         hull=hull,
         surface_points=points,

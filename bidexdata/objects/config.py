@@ -176,6 +176,32 @@ class RestConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SelectConfig:
+    """Which objects are kept. By default all are; what is left out has its reason in the index."""
+
+    max_aspect: float | None = None
+    """Longest over shortest extent along the principal axes, at most [-]."""
+    min_thickness: float | None = None
+    """Mean thickness of the walls (2 volume / area), at least."""
+    max_components: int | None = None
+    """Bodies that do not touch, at most."""
+    max_genus: int | None = None
+    """Handles and through holes, at most."""
+    categories: tuple[str, ...] = ()
+    """Only these, where any is named."""
+    without_categories: tuple[str, ...] = ()
+    """None of these."""
+    near_duplicates: bool = True
+    """Keep shapes that an earlier input has already; `near_duplicate_of` of the index names it."""
+    alike: float = 0.005
+    """Mean difference of two descriptors below which their shapes are alike. Measured: newly sampled
+    and turned copies differ by up to 0.003, different objects by 0.008 or more."""
+
+    def __post_init__(self):
+        _positive(self, "alike")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LimitsConfig:
     """Bounds on the worker of one object; they never change a finished object."""
 
@@ -199,6 +225,7 @@ class PrepareConfig:
     surface: SurfaceConfig = field(default_factory=SurfaceConfig)
     sdf: SdfConfig = field(default_factory=SdfConfig)
     rest: RestConfig = field(default_factory=RestConfig)
+    select: SelectConfig = field(default_factory=SelectConfig)
     limits: LimitsConfig = field(default_factory=LimitsConfig)
 
 

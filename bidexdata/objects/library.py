@@ -51,10 +51,22 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("volume_ratio", "float64", "solid to repaired mesh"),
     ("solid_hausdorff", "float64", "solid to repaired mesh, fraction of the diagonal"),
     ("rest_poses", "int64", "number of rest poses"),
+    ("aspect", "float64", "longest over shortest extent along the principal axes"),
+    ("thickness", "float64", "mean thickness of the walls, fraction of the diagonal"),
+    ("components", "int64", "bodies of the repaired mesh that do not touch"),
+    ("genus", "int64", "handles and through holes of the repaired mesh"),
+    ("mesh_hash", "string", "of the repaired mesh's corners, whatever file, place and size"),
+    ("near_duplicate_of", "string", "object_id of the first input with nearly the same shape"),
     ("warnings", "list<string>", "what a person should know"),
     ("content_sha256", "string", "sha256 over the object's files"),
 )
 """Columns of the index: name, type, meaning. A failed input has nulls where nothing is known."""
+
+
+ASKED = "asked"
+"""Key of the index's metadata: the same inputs asked for so give the same failures again."""
+LEFT_OUT = (Status.DUPLICATE, Status.NOT_SELECTED, Status.NEAR_DUPLICATE)
+"""Statuses of inputs that nothing is wrong with."""
 
 
 class Library:
@@ -151,12 +163,12 @@ def warnings_of(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
 def failures_of(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
     """What `--json` says of index rows without an object: `source_name`, `status`, `reason`.
 
-    A duplicate is no failure: its object is there.
+    Duplicates and what a selection leaves out are no failures.
     """
     return [
         {"source_name": r["source_name"], "status": r["status_label"], "reason": r["reason"]}
         for r in rows
-        if r["status"] not in (Status.OK, Status.DUPLICATE)
+        if r["status"] not in (Status.OK, *LEFT_OUT)
     ]
 
 
@@ -185,8 +197,17 @@ def content_sha256(folder: Path) -> str:
     return digest.hexdigest()
 
 
-def write_index(library: Path, rows: Sequence[Mapping[str, Any]], config: Any) -> None:
-    """Write the index of a library, atomically and without anything that changes by itself."""
+def write_index(
+    library: Path, rows: Sequence[Mapping[str, Any]], config: Any, asked: Any = None
+) -> None:
+    """Write the index of a library, atomically and without anything that changes by itself.
+
+    Args:
+        library: Its folder.
+        rows: One per input.
+        config: What decided the bytes of the objects.
+        asked: What decided which inputs gave none; the same as `config` when omitted.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -200,7 +221,11 @@ def write_index(library: Path, rows: Sequence[Mapping[str, Any]], config: Any) -
     fields = [
         pa.field(name, types[kind], metadata={"description": text}) for name, kind, text in COLUMNS
     ]
-    metadata = {"schema_version": SCHEMA_VERSION, "prepare_config": canonical_json(config)}
+    metadata = {
+        "schema_version": SCHEMA_VERSION,
+        "prepare_config": canonical_json(config),
+        ASKED: canonical_json(config if asked is None else asked),
+    }
     schema = pa.schema(fields, metadata=metadata)
     plain = [{name: row.get(name) for name, _, _ in COLUMNS} for row in rows]
     library.mkdir(parents=True, exist_ok=True)

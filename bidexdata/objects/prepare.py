@@ -20,14 +20,18 @@ from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.convex import Decomposition, decompose
 from bidexdata.objects.debris import without_debris
 from bidexdata.objects.deviation import hausdorff
+from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.given import GivenPieces, given_pieces
 from bidexdata.objects.identity import object_id_of, source_bytes
 from bidexdata.objects.loading import LoadedMesh, load_mesh, unit_mesh
 from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepared import PreparedObject, TriangleMesh
 from bidexdata.objects.repair import Repaired, repair
+from bidexdata.objects.selection import outside
 from bidexdata.objects.sources import SourceItem
 from bidexdata.objects.sources.shapes import shape_mesh
+from bidexdata.objects.traits import mesh_hash, traits
+from bidexdata.record.status import Status
 
 
 def prepare_object(
@@ -54,33 +58,73 @@ def prepare_object(
     """
     config = config or PrepareConfig()
     item, data = _item_and_bytes(source, config.load.max_bytes)
-    doubts: tuple[str, ...] = ()
-    if item.pieces:
-        given = given_pieces(item, config.load)
-        if not given.not_convex:
-            return _of_given(item, data, given, config)
-        count = f"{given.not_convex} of {len(given.pieces)} given pieces"
-        doubts = (f"{count} are not convex: decomposed anew",)
-        loaded = unit_mesh(given.shown or given.whole, config.load)
-    elif isinstance(source, TriangleMesh):
-        loaded = unit_mesh(source, config.load)
-    elif item.shape is not None:
-        loaded = unit_mesh(shape_mesh(item.shape), config.load, metres_per_unit=1.0)
-    else:
-        assert item.path is not None
-        loaded = load_mesh(item.path, data, config.load)
-    faces = len(loaded.mesh.faces)
-    loaded, dropped = without_debris(loaded, config.repair)
+    given, doubts = _usable_pieces(item, config)
+    if given is not None and not doubts:
+        return _of_given(item, data, given, config)
+    whole = _loaded(source, item, data, given, config)
+    loaded, dropped = without_debris(whole, config.repair)
     if dropped:
         doubts += (f"{dropped} specks dropped that lie apart",)
     repaired = repair(loaded.mesh, config.repair)
+    shape = _shape(repaired.mesh, config)
     split = decompose(repaired.mesh, config.convex)
     solid = unit_solid(split.pieces)
-    provenance = _provenance(item, data, loaded, repaired, split, solid, config)
-    provenance["source_faces"] = faces
+    provenance = _provenance(item, data, loaded, repaired, split, solid, config) | shape
+    provenance["source_faces"] = len(whole.mesh.faces)
     provenance["repair_steps"] = ["drop_debris"] * bool(dropped) + provenance["repair_steps"]
     provenance["warnings"] = [*doubts, *provenance["warnings"]]
     return assembled(object_id_of(item, data), solid, repaired.mesh, provenance, config)
+
+
+def check_selected(item: SourceItem, config: PrepareConfig) -> None:
+    """Find out whether the selection keeps an input, at the cost of reading and repairing it.
+
+    Raises:
+        PrepareFailure: It leaves the input out, or the input cannot become a closed mesh.
+    """
+    data = source_bytes(item, config.load.max_bytes)
+    given, doubts = _usable_pieces(item, config)
+    if given is not None and not doubts:
+        _shape(_union(unit_solid(given.pieces)), config)
+        return
+    loaded, _ = without_debris(_loaded(item, item, data, given, config), config.repair)
+    _shape(repair(loaded.mesh, config.repair).mesh, config)
+
+
+def _usable_pieces(
+    item: SourceItem, config: PrepareConfig
+) -> tuple[GivenPieces | None, tuple[str, ...]]:
+    """The pieces that the source gives, and why they are not taken."""
+    if not item.pieces:
+        return None, ()
+    given = given_pieces(item, config.load)
+    if not given.not_convex:
+        return given, ()
+    count = f"{given.not_convex} of {len(given.pieces)} given pieces"
+    return given, (f"{count} are not convex: decomposed anew",)
+
+
+def _loaded(
+    source: str | Path | TriangleMesh | SourceItem,
+    item: SourceItem,
+    data: bytes,
+    given: GivenPieces | None,
+    config: PrepareConfig,
+) -> LoadedMesh:
+    """Read what is no set of given pieces, at unit diagonal."""
+    if given is not None:
+        return unit_mesh(given.shown or given.whole, config.load)
+    if isinstance(source, TriangleMesh):
+        return unit_mesh(source, config.load)
+    if item.shape is not None:
+        return unit_mesh(shape_mesh(item.shape), config.load, metres_per_unit=1.0)
+    assert item.path is not None
+    return load_mesh(item.path, data, config.load)
+
+
+def _union(solid: UnitSolid) -> TriangleMesh:
+    """The surface of a solid in the frame that its pieces came in."""
+    return TriangleMesh(solid.mesh.vertices * solid.diagonal + solid.centre, solid.mesh.faces)
 
 
 def _provenance(
@@ -96,7 +140,7 @@ def _provenance(
     volume = mass_properties(repaired.mesh).volume
     samples = config.repair.hausdorff_samples
     in_file = loaded.centre + loaded.diagonal * solid.centre
-    moved = TriangleMesh(solid.mesh.vertices * solid.diagonal + solid.centre, solid.mesh.faces)
+    moved = _union(solid)
     metres = loaded.metres_per_unit
     return {
         **_origin(item, data),
@@ -121,7 +165,7 @@ def _of_given(
 ) -> PreparedObject:
     """Assemble an object of the pieces that its source gives, as they are."""
     solid = unit_solid(given.pieces)
-    union = TriangleMesh(solid.mesh.vertices * solid.diagonal + solid.centre, solid.mesh.faces)
+    union = _union(solid)
     shown, samples = given.shown or union, config.repair.hausdorff_samples
     provenance = {
         **_origin(item, data),
@@ -139,10 +183,25 @@ def _of_given(
         "solid_hausdorff": _apart(solid, shown, samples),
         "warnings": list(given.warnings),
     }
+    provenance |= _shape(union, config)
     closed = as_manifold(shown)
     if closed is not None and closed.volume() > 0:
         provenance["volume_ratio"] = solid.volume * solid.diagonal**3 / closed.volume()
     return assembled(object_id_of(item, data), solid, shown, provenance, config)
+
+
+def _shape(mesh: TriangleMesh, config: PrepareConfig) -> dict[str, Any]:
+    """What a selection looks at.
+
+    Raises:
+        PrepareFailure: The selection leaves such shapes out.
+    """
+    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    found = traits(TriangleMesh(mesh.vertices / diagonal, mesh.faces))._asdict()
+    reason = outside(found, config.select)
+    if reason:
+        raise PrepareFailure(Status.NOT_SELECTED, reason)
+    return {**found, "mesh_hash": mesh_hash(mesh)}
 
 
 def _apart(solid: UnitSolid, mesh: TriangleMesh, samples: int) -> float:

@@ -33,7 +33,10 @@ OBJECT_FILES = ("geometry.npz", *SOLID_FILES)
 
 
 def write_object(
-    folder: Path, obj: PreparedObject, config: Mapping[str, Any] | None = None
+    folder: Path,
+    obj: PreparedObject,
+    config: Mapping[str, Any] | None = None,
+    beside: Mapping[str, bytes] | None = None,
 ) -> None:
     """Write a prepared object.
 
@@ -41,8 +44,9 @@ def write_object(
         folder: Becomes the object's folder; replaced when it exists.
         obj: The object.
         config: The configuration it was made with, kept in `object.json`.
+        beside: More files of the folder by name, which are no part of the object.
     """
-    write_files(folder, object_files(obj, config))
+    write_files(folder, {**object_files(obj, config), **(beside or {})})
 
 
 def write_solid(folder: Path, solid: Solid) -> None:
@@ -95,9 +99,12 @@ def solid_files(solid: Solid, config: Mapping[str, Any] | None = None) -> dict[s
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write files under a temporary folder name and rename it into place.
 
-    Where another machine puts the same folder there meanwhile, its files stay.
+    A folder that has the same files already stays, and so does one that another machine puts there
+    meanwhile: somebody may be reading it.
     """
-    shutil.rmtree(folder, ignore_errors=True)
+    stale = folder.is_dir()
+    if stale and _holds(folder, files):
+        return
     folder.parent.mkdir(parents=True, exist_ok=True)
     partial = folder.with_name(f".{folder.name}.{socket.gethostname()}.{os.getpid()}.partial")
     shutil.rmtree(partial, ignore_errors=True)
@@ -107,12 +114,21 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
             stream.write(data)
             stream.flush()
             os.fsync(stream.fileno())
+    if stale:
+        shutil.rmtree(folder, ignore_errors=True)
     try:
         os.replace(partial, folder)
     except OSError:
         if not folder.is_dir():
             raise
         shutil.rmtree(partial)
+
+
+def _holds(folder: Path, files: Mapping[str, bytes]) -> bool:
+    try:
+        return all((folder / name).read_bytes() == data for name, data in files.items())
+    except OSError:
+        return False
 
 
 def read_object(folder: Path) -> PreparedObject:

@@ -25,6 +25,8 @@ class Status(IntEnum):
     CRASHED = 8
     DUPLICATE = 9
     UNSUPPORTED = 10
+    NOT_SELECTED = 11
+    NEAR_DUPLICATE = 12
 
     # synth
     NO_REGION_PAIR = 20
@@ -74,6 +76,8 @@ _SENTENCES = {
     Status.CRASHED: "the worker that prepared the object died",
     Status.DUPLICATE: "another input file has the same bytes",
     Status.UNSUPPORTED: "the file needs a feature or package that is not supported",
+    Status.NOT_SELECTED: "the selection leaves the object out",
+    Status.NEAR_DUPLICATE: "an earlier input has nearly the same shape",
     Status.NO_REGION_PAIR: "no two regions of the object are far enough apart and accessible",
     Status.NO_PLACEMENT: "no hand pose clear of the object was found at the regions",
     Status.NOT_FINITE: "the optimisation produced numbers that are not finite",

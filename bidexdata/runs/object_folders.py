@@ -19,7 +19,8 @@ from bidexdata.runs.shards import orphans
 
 MADE = (
     *("source_faces", "source_diagonal", "repair", "repair_steps", "hausdorff"),
-    *("piece_method", "pieces", "volume_ratio", "solid_hausdorff", "warnings"),
+    *("piece_method", "pieces", "volume_ratio", "solid_hausdorff"),
+    *("aspect", "thickness", "components", "genus", "mesh_hash", "warnings"),
 )
 """Columns of the index that only making an object gives; an import leaves some out."""
 

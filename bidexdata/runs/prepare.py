@@ -10,14 +10,15 @@ from __future__ import annotations
 import hashlib
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from bidexdata import __version__
 from bidexdata.config import differing_keys, to_plain
 from bidexdata.errors import ConfigConflict, NotUsable
-from bidexdata.kinds import INDEX, OBJECTS
+from bidexdata.kinds import INDEX, OBJECTS, REPORT
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.identity import object_id_of, source_bytes
@@ -28,16 +29,26 @@ from bidexdata.objects.library import (
     warnings_of,
     write_index,
 )
-from bidexdata.objects.prepare import prepare_object
+from bidexdata.objects.prepare import check_selected, prepare_object
+from bidexdata.objects.selection import has_bounds, unwanted
 from bidexdata.objects.sources import SourceItem, fetched, resolve_sources
 from bidexdata.objects.storage import read_document, write_object
 from bidexdata.record.status import Status
 from bidexdata.runs.executors import TaskFailure, check_executor, run_tasks
+from bidexdata.runs.left_out import leave_out, reason_row
+from bidexdata.runs.library_report import append_time, write_report
 from bidexdata.runs.object_folders import index_columns, is_made, remove_partials
 from bidexdata.runs.plan import take_shard
 from bidexdata.runs.prepare_parts import Parts, Row
 from bidexdata.runs.progress import Progress
+from bidexdata.runs.thumbnails import THUMBNAIL, thumbnail
 from bidexdata.runs.worker_limits import CPU_SIGNAL, limit_memory, limited_cpu
+
+R = TypeVar("R")
+SECONDS = "seconds"
+"""Key of a task's result that goes into no index."""
+_TRY_AGAIN = (Status.TIMED_OUT, Status.CRASHED)
+"""Failures that the machine may be to blame for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +77,8 @@ class PrepareReport:
     """Wall-clock time."""
     fingerprint: str
     """Of the library; empty while it has no index."""
+    made: int = 0
+    """Inputs that this call worked on."""
     waiting: int = 0
     """Inputs of other parts that nobody has settled yet; the index is written when none is left."""
 
@@ -92,6 +105,7 @@ class PrepareReport:
             "prepared": self.prepared,
             "hulls": self.hulls,
             "resumed": self.resumed,
+            "made": self.made,
             "by_status": self.by_status,
             "failures": failures_of(self.rows),
             "warnings": warnings_of(self.rows),
@@ -120,7 +134,8 @@ def prepare_library(
         out: Folder of the library; complete objects in it are kept.
         config: Every tolerance and bound.
         limit: Only the first so many inputs.
-        dry_run: List the inputs and write nothing.
+        dry_run: List the inputs and write nothing. With bounds on shapes (`select`) every input is
+            read and repaired, to tell which would be left out.
         executor: `processes`, `inline` (no limits of memory and time) or `ray`.
         workers: Number of workers; 0 means one per core.
         shard: Part i of n of the inputs, i from 0. Several machines may prepare one folder; the
@@ -139,34 +154,38 @@ def prepare_library(
     items = fetched(items)
     rows, tasks = _plan(items, out, config)
     mine = take_shard(range(len(items)), shard)
+    my_tasks = {n: tasks[n] for n in mine if n in tasks}
     if dry_run:
+        if has_bounds(config.select):
+            _work(my_tasks, rows, _checked_one, config, executor, workers, quiet=quiet)
         return PrepareReport(out, tuple(rows[n] for n in mine), 0, time.monotonic() - start, "")
 
-    my_tasks = {n: tasks[n] for n in mine if n in tasks}
-    to_do = {n: t for n, t in my_tasks.items() if not _complete(t)}
+    parts = Parts(out, rows, _asked(config))
     remove_partials(out)
-    with Progress(len(mine), "object", quiet=quiet, already=len(mine) - len(to_do)) as progress:
-        for number, result in _run(to_do, config, executor, workers):
-            rows[number].update(result)
-            if rows[number]["status"] != Status.OK:
-                progress.write(f"{rows[number]['source_name']}: {rows[number]['reason']}")
-            progress.advance(note=to_do[number].object_id)
-
-    parts = Parts(out, rows, _identity(config))
+    there = {n for n, t in my_tasks.items() if _complete(t)}
+    for number, failure in parts.failures().items():
+        if number in my_tasks and number not in there and failure["status"] not in _TRY_AGAIN:
+            rows[number].update(failure)
+            there.add(number)
+    to_do = {n: t for n, t in my_tasks.items() if n not in there}
+    _work(to_do, rows, prepare_one, config, executor, workers, quiet=quiet, already=len(there))
     if shard is not None:
-        parts.write(shard, {n: rows[n] for n in to_do if rows[n]["status"] != Status.OK})
+        parts.write(shard, {n: rows[n] for n in my_tasks if rows[n]["status"] != Status.OK})
     waiting = _settle_others({n: t for n, t in tasks.items() if n not in my_tasks}, rows, parts)
     known = mine if waiting else range(len(items))
-    for number in known:
-        if rows[number]["status"] == Status.OK:
-            rows[number].update(index_columns(_folder(tasks[number])))
+    made = {n: _folder(tasks[n]) for n in known if rows[n]["status"] == Status.OK}
+    for number, folder in made.items():
+        rows[number].update(index_columns(folder))
     if not waiting:
-        write_index(out, rows, _identity(config))
+        leave_out(dict(enumerate(rows)), made, config.select)
+        write_index(out, rows, _identity(config), _asked(config))
+        write_report(out, rows)
         parts.remove()
     return PrepareReport(
         library=out,
         rows=tuple(rows[n] for n in known),
-        resumed=len(my_tasks) - len(to_do),
+        resumed=len(made) - len(to_do.keys() & made.keys()),
+        made=len(to_do),
         seconds=time.monotonic() - start,
         fingerprint="" if waiting else Library.open(out).fingerprint,
         waiting=waiting,
@@ -179,18 +198,33 @@ def prepare_one(task: PrepareTask) -> Row:
     Returns:
         The columns that are known here: status and reason, empty when everything succeeded.
     """
-    limit_memory(task.config.limits.memory_gib)
+    started = time.monotonic()
+    made, row = _within_limits(task, prepare_object)
+    if made is not None and not _complete(task):  # by another machine, meanwhile
+        beside = {THUMBNAIL: thumbnail(made)}
+        write_object(_folder(task), made, _identity(task.config), beside)
+    return {**row, SECONDS: time.monotonic() - started}
+
+
+def _checked_one(task: PrepareTask) -> Row:
+    """Find out what the selection says of one input, and write nothing."""
+    return _within_limits(task, check_selected)[1]
+
+
+def _within_limits(
+    task: PrepareTask, work: Callable[[SourceItem, PrepareConfig], R]
+) -> tuple[R | None, Row]:
+    """What `work` makes of an input, and the columns that say why there is nothing."""
+    limits = task.config.limits
+    limit_memory(limits.memory_gib)
     try:
-        with limited_cpu(task.config.limits.cpu_seconds):
-            obj = prepare_object(task.item, task.config)
+        with limited_cpu(limits.cpu_seconds):
+            return work(task.item, task.config), {}
     except PrepareFailure as failure:
-        return _failed(failure.status, failure.reason)
+        return None, reason_row(failure.status, failure.reason)
     except MemoryError:
-        bound = task.config.limits.memory_gib
-        return _failed(Status.TOO_COMPLEX, f"needs more than limits.memory_gib = {bound:g} GiB")
-    if not _complete(task):  # by another machine, meanwhile
-        write_object(_folder(task), obj, _identity(task.config))
-    return {}
+        bound = f"needs more than limits.memory_gib = {limits.memory_gib:g} GiB"
+        return None, reason_row(Status.TOO_COMPLEX, bound)
 
 
 def _plan(
@@ -208,45 +242,73 @@ def _plan(
             "author": item.author,
             "category": item.category,
             "warnings": [],
-            **_failed(Status.OK, ""),
+            **reason_row(Status.OK, ""),
         }
         rows.append(row)
         try:
             data = source_bytes(item, config.load.max_bytes)
         except PrepareFailure as failure:
-            row.update(_failed(failure.status, failure.reason))
+            row.update(reason_row(failure.status, failure.reason))
             continue
         sha256, object_id = hashlib.sha256(data).hexdigest(), object_id_of(item, data)
         row.update(object_id=object_id, source_sha256=sha256, source_bytes=len(data))
         if sha256 in first:
-            row.update(_failed(Status.DUPLICATE, f"same bytes as {first[sha256]}"))
+            row.update(reason_row(Status.DUPLICATE, f"same bytes as {first[sha256]}"))
             row["duplicate_of"] = first[sha256]
             continue
         first[sha256] = object_id
+        not_wanted = unwanted(item.category, config.select)
+        if not_wanted:
+            row.update(reason_row(Status.NOT_SELECTED, not_wanted))
+            continue
         tasks[number] = PrepareTask(item, object_id, sha256, out.resolve(), config)
     return rows, tasks
 
 
+def _work(
+    tasks: Mapping[int, PrepareTask],
+    rows: Sequence[Row],
+    work: Callable[[PrepareTask], Row],
+    config: PrepareConfig,
+    executor: str,
+    workers: int,
+    *,
+    quiet: bool,
+    already: int = 0,
+) -> None:
+    """Run the tasks and put what becomes of them into the rows."""
+    with Progress(len(tasks) + already, "object", quiet=quiet, already=already) as progress:
+        for number, result in _run(tasks, work, config, executor, workers):
+            if SECONDS in result:
+                append_time(tasks[number].library, tasks[number].object_id, result.pop(SECONDS))
+            rows[number].update(result)
+            if rows[number]["status"] != Status.OK:
+                progress.write(f"{rows[number]['source_name']}: {rows[number]['reason']}")
+            progress.advance(note=tasks[number].object_id)
+
+
 def _run(
-    tasks: Mapping[int, PrepareTask], config: PrepareConfig, executor: str, workers: int
+    tasks: Mapping[int, PrepareTask],
+    work: Callable[[PrepareTask], Row],
+    config: PrepareConfig,
+    executor: str,
+    workers: int,
 ) -> Iterator[tuple[int, Row]]:
     """Run the tasks; whatever a worker dies of becomes a row."""
     wall = config.limits.wall_seconds
     numbers = {task.object_id: number for number, task in tasks.items()}
-    done = run_tasks(
-        list(tasks.values()), prepare_one, executor=executor, workers=workers, timeout=wall
-    )
+    done = run_tasks(list(tasks.values()), work, executor=executor, workers=workers, timeout=wall)
     for task, result in done:
         number = numbers[task.object_id]
         if not isinstance(result, TaskFailure):
             yield number, result
         elif result.kind == "timeout":
-            yield number, _failed(Status.TIMED_OUT, f"took longer than {wall:g} s")
+            yield number, reason_row(Status.TIMED_OUT, f"took longer than {wall:g} s")
         elif CPU_SIGNAL in result.reason:
             bound = f"limits.cpu_seconds = {config.limits.cpu_seconds:g} CPU s used up"
-            yield number, _failed(Status.TOO_COMPLEX, f"{bound}: decimate the mesh")
+            yield number, reason_row(Status.TOO_COMPLEX, f"{bound}: decimate the mesh")
         else:
-            yield number, _failed(Status.CRASHED, result.reason)
+            yield number, reason_row(Status.CRASHED, result.reason)
 
 
 def _settle_others(others: Mapping[int, PrepareTask], rows: list[Row], parts: Parts) -> int:
@@ -264,11 +326,6 @@ def _settle_others(others: Mapping[int, PrepareTask], rows: list[Row], parts: Pa
     return len(waiting)
 
 
-def _failed(status: Status, reason: str) -> Row:
-    text = reason and f"{status.sentence}: {reason}"
-    return {"status": int(status), "status_label": status.label, "reason": text}
-
-
 def _folder(task: PrepareTask) -> Path:
     return task.library / object_folder(task.object_id)
 
@@ -283,7 +340,7 @@ def _check_out(out: Path, config: PrepareConfig) -> None:
         return
     if not out.is_dir():
         raise NotUsable(f"{out} is a file; --out needs a folder")
-    own = {INDEX, OBJECTS}
+    own = {INDEX, OBJECTS, REPORT}
     foreign = [p.name for p in out.iterdir() if p.name not in own and not p.name.startswith(".")]
     if foreign:
         # A release has `objects` too, and must not be written to.
@@ -298,7 +355,12 @@ def _check_out(out: Path, config: PrepareConfig) -> None:
 
 
 def _identity(config: PrepareConfig) -> dict[str, Any]:
-    """The configuration that decides bytes: limits only decide whether there are any."""
+    """The configuration that decides bytes: limits and selection decide whether there are any."""
     plain = to_plain(config)
-    del plain["limits"]
+    del plain["limits"], plain["select"]
     return plain
+
+
+def _asked(config: PrepareConfig) -> dict[str, Any]:
+    """What decides which inputs give no object: a failure is final until one of these changes."""
+    return {**to_plain(config), "bidexdata": __version__}

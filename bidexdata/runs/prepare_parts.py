@@ -18,7 +18,7 @@ from typing import Any
 from bidexdata.config import canonical_json, fingerprint
 from bidexdata.errors import BidexError, Contradiction
 from bidexdata.kinds import PARTS
-from bidexdata.objects.library import Library
+from bidexdata.objects.library import ASKED, Library
 from bidexdata.record.status import Status
 from bidexdata.runs.shards import write_text
 
@@ -30,13 +30,13 @@ _COLUMNS = ("status", "status_label", "reason")
 
 
 class Parts:
-    """The failures of all parts of one plan: inputs in their order, and a configuration."""
+    """The failures of all parts of one plan: inputs in their order, and what was asked of them."""
 
-    def __init__(self, library: Path, rows: Sequence[Row], config: Mapping[str, Any]):
-        self._library, self._config = library, config
+    def __init__(self, library: Path, rows: Sequence[Row], asked: Mapping[str, Any]):
+        self._library, self._asked = library, asked
         self._inputs = [(r.get("object_id"), r.get("source_sha256")) for r in rows]
-        # Parts of other inputs or another configuration say nothing of these.
-        self._folder = library / PARTS / fingerprint([self._inputs, config])
+        # Parts of other inputs, another configuration or version say nothing of these.
+        self._folder = library / PARTS / fingerprint([self._inputs, asked])
 
     def write(self, part: tuple[int, int], failures: Mapping[int, Row]) -> None:
         """Say which inputs of a part failed, by their number; an empty list says that none did."""
@@ -80,14 +80,13 @@ class Parts:
             index = Library.open(self._library).index
         except BidexError:  # none yet, or a damaged one, which is written anew
             return {}
-        if (index.schema.metadata or {}).get(b"prepare_config") != self._bytes_of_config():
+        if (index.schema.metadata or {}).get(ASKED.encode()) != canonical_json(
+            self._asked
+        ).encode():
             return {}
         rows = {(r["object_id"], r["source_sha256"]): r for r in index.to_pylist()}
         known = ((n, rows.get(key)) for n, key in enumerate(self._inputs))
         return {n: _failure(r) for n, r in known if r is not None and r["status"] != Status.OK}
-
-    def _bytes_of_config(self) -> bytes:
-        return canonical_json(self._config).encode()
 
 
 def _failure(row: Mapping[str, Any]) -> Failure:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from bidexdata.objects.prepared import TriangleMesh
+from bidexdata.runs.library_report import TIMES
 
 
 def write_stl(path: Path, mesh: TriangleMesh) -> Path:
@@ -22,6 +23,12 @@ def write_obj(path: Path, mesh: TriangleMesh) -> Path:
     lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh.faces.tolist()]
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+def library_files(library: Path) -> dict[str, bytes]:
+    """All files of a library but the times, which differ from run to run."""
+    found = (p for p in library.rglob("*") if p.is_file() and TIMES not in p.parts)
+    return {p.relative_to(library).as_posix(): p.read_bytes() for p in found}
 
 
 def mixed_folder(folder: Path, mesh: TriangleMesh) -> Path:

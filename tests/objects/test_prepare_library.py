@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from mesh_files import library_files as files
 from mesh_files import mixed_folder
 
 from bidexdata.errors import ConfigConflict, NotUsable
@@ -28,12 +29,6 @@ def meshes(tmp_path: Path, box) -> Path:
 def run(sources, out: Path, config: PrepareConfig, **options) -> PrepareReport:
     options = {"executor": "inline", "quiet": True, **options}
     return prepare_library([str(s) for s in sources], out, config, **options)
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    return {
-        p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()
-    }
 
 
 def dead_process() -> str:
@@ -80,7 +75,7 @@ def test_a_second_run_makes_only_what_is_missing(tmp_path, meshes, small):
     again = run([meshes], out, small)
     assert again.resumed == 1
     assert files(out) == before
-    assert not list(out.rglob(".*"))
+    assert not list(out.rglob(".*.partial"))
     kept = [p for p, stamp in stamps.items() if p.stat().st_mtime_ns == stamp]
     assert len(kept) == 1
 

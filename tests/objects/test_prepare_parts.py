@@ -10,6 +10,7 @@ from itertools import permutations
 from pathlib import Path
 
 import pytest
+from mesh_files import library_files as files
 from mesh_files import mixed_folder
 
 from bidexdata.errors import Contradiction, NotUsable
@@ -38,12 +39,6 @@ def single(tmp_path: Path, meshes: Path, small: PrepareConfig) -> dict[str, byte
 def part(meshes: Path, out: Path, config: PrepareConfig, shard, **options) -> PrepareReport:
     options = {"executor": "inline", "quiet": True, **options}
     return prepare_library([str(meshes)], out, config, shard=shard, **options)
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    return {
-        p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()
-    }
 
 
 @pytest.mark.parametrize("order", [*permutations(range(3))])

@@ -1,0 +1,44 @@
+"""Apply a selection to the rows of an index: bounds on traits first, then near duplicates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from bidexdata.objects.config import SelectConfig
+from bidexdata.objects.selection import near_duplicates, outside
+from bidexdata.objects.storage import read_document
+from bidexdata.record.status import Status
+from bidexdata.runs.prepare_parts import Row
+
+
+def reason_row(status: Status, reason: str) -> Row:
+    """The columns of the index that say what became of an input."""
+    text = reason and f"{status.sentence}: {reason}"
+    return {"status": int(status), "status_label": status.label, "reason": text}
+
+
+def leave_out(rows: Mapping[int, Row], folders: Mapping[int, Path], config: SelectConfig) -> None:
+    """Mark what the selection leaves out, in place, and name near duplicates of earlier inputs.
+
+    Args:
+        rows: Of the index, by number of the input; only prepared ones are looked at.
+        folders: Of the prepared objects.
+        config: The selection.
+    """
+    for number in folders:
+        reason = outside(rows[number], config)
+        if reason:
+            rows[number].update(reason_row(Status.NOT_SELECTED, reason))
+    left = [n for n in sorted(folders) if rows[n]["status"] == Status.OK]
+    shapes = [_shape(folders[n]) for n in left]
+    for later, first in near_duplicates(shapes, config).items():
+        row, name = rows[left[later]], str(rows[left[first]]["object_id"])
+        row["near_duplicate_of"] = name
+        if not config.near_duplicates:
+            row.update(reason_row(Status.NEAR_DUPLICATE, f"like {name}"))
+
+
+def _shape(folder: Path) -> Mapping[str, Any]:
+    return read_document(folder)["provenance"]
