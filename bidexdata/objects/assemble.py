@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from bidexdata.objects.closed import as_manifold, as_mesh, convex_hull, union
 from bidexdata.objects.config import PrepareConfig
+from bidexdata.objects.drops import Body
 from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.physics import MassProperties, mass_properties, rest_poses
+from bidexdata.objects.physics import MassProperties, mass_properties
 from bidexdata.objects.prepared import PreparedObject, TriangleMesh
+from bidexdata.objects.rest import rest_poses
 from bidexdata.objects.sdf import signed_distance_grid
 from bidexdata.objects.surface import surface_points
 from bidexdata.objects.traits import descriptor
@@ -106,7 +108,7 @@ def assembled(
         config: Bounds and resolutions.
     """
     hull = as_mesh(convex_hull(solid.mesh.vertices))
-    rest = rest_poses(hull, config.rest)
+    rest = rest_poses(Body(hull, solid.volume, solid.inertia), config.rest)
     points, normals = surface_points(solid.mesh, config.surface)
     shape = [round(float(x), 6) for x in descriptor(points, solid.mesh)]
     display = _fewer_faces(display, config.repair.display_faces)

@@ -9,6 +9,7 @@ Sign: half-space tests of the convex pieces.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -17,7 +18,16 @@ from numpy.typing import NDArray
 from bidexdata.objects.config import SdfConfig
 from bidexdata.objects.mesh_queries import distances, donated_distances, nodes_inside
 from bidexdata.objects.prepared import SignedDistanceGrid, TriangleMesh
+from bidexdata.objects.surface import sample_surface
 
+_LADDER = (0.5, 0.625, 0.75, 0.875, 1.0)
+"""Shares of the finest grid's cells."""
+_NEAR = 0.03
+"""Distance from the surface, of the diagonal, within which the error is bounded."""
+_TRIED = 3000
+"""Points at which the interpolation is tried."""
+_STEP = 2.0**-18
+"""Distances at unit diagonal are multiples of this: 2 um at a diagonal of 0.5 m, and a quarter of the file less."""
 _BAND = 2
 """Half the width of the band with exact distances, in cells."""
 _STRIDES = (2, 1)
@@ -37,10 +47,10 @@ def signed_distance_grid(
     from scipy.ndimage import distance_transform_edt
 
     low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
-    longest = float(np.max(high - low))
-    cell = float(np.float32(longest / config.cells))
-    origin = low - config.margin * longest
-    nx, ny, nz = (np.ceil((high - low + 2 * config.margin * longest) / cell) + 1).astype(int)
+    room = config.margin * float(np.max(high - low))
+    origin = low - room
+    cell = _coarsest_cell(solid, pieces, origin, config)
+    nx, ny, nz = (np.ceil((high - low + 2 * room) / cell) + 1).astype(int)
     shape = (int(nx), int(ny), int(nz))
 
     band = _band(solid, origin, cell, shape)
@@ -60,7 +70,76 @@ def signed_distance_grid(
         cell,
         shape,
     )
-    return SignedDistanceGrid(np.where(inside, -values, values).astype(np.float32), origin, cell)
+    step = _STEP * 2.0 ** round(float(np.log2(np.linalg.norm(high - low))))
+    values = np.rint(np.where(inside, -values, values) / step) * step
+    return SignedDistanceGrid(values.astype(np.float32), origin, cell)
+
+
+def exact_distances(
+    solid: TriangleMesh, pieces: Sequence[TriangleMesh], points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Signed distances (P,) of points (P, 3) to the union of convex pieces, negative inside."""
+    inside = np.zeros(len(points), bool)
+    for piece in pieces:
+        low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
+        near = np.flatnonzero(np.all((points >= low) & (points <= high), axis=1))
+        planes = face_planes(piece)
+        inside[near] |= np.all(points[near] @ planes[:, :3].T <= planes[:, 3], axis=1)
+    _, away = distances(solid, points)
+    return np.where(inside, -away, away).astype(np.float64)
+
+
+def _coarsest_cell(
+    solid: TriangleMesh,
+    pieces: Sequence[TriangleMesh],
+    origin: NDArray[np.float64],
+    config: SdfConfig,
+) -> float:
+    """Largest cell on the ladder with which interpolation near the surface is exact enough.
+
+    Tried on points near the surface, from exact distances at the corners of their cells, before
+    any grid is made.
+    """
+    diagonal = float(np.linalg.norm(np.ptp(solid.vertices, axis=0)))
+    points = _near_points(solid, _NEAR * diagonal)
+    exact = exact_distances(solid, pieces, points)
+
+    def cell_of(rung: int) -> float:
+        return float(np.float32(diagonal / (_LADDER[rung] * config.cells)))
+
+    # A finer grid is taken to be more exact, so halving the ladder finds the rung.
+    low, high = 0, len(_LADDER) - 1
+    while low < high:
+        middle = (low + high) // 2
+        nodes, weights = _corners(points, origin, cell_of(middle))
+        values = exact_distances(solid, pieces, nodes.reshape(-1, 3)).reshape(weights.shape)
+        error = np.abs((weights * values).sum(axis=0) - exact).max()
+        if error <= config.error * diagonal:
+            high = middle
+        else:
+            low = middle + 1
+    return cell_of(high)
+
+
+def _near_points(solid: TriangleMesh, reach: float) -> NDArray[np.float64]:
+    """Points (P, 3) on normals of the surface, at most `reach` away from where they start."""
+    rng = np.random.default_rng(0)
+    points, face = sample_surface(solid, _TRIED, rng)
+    corners = solid.vertices[solid.faces[face]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return points + rng.uniform(-reach, reach, (_TRIED, 1)) * normal
+
+
+def _corners(
+    points: NDArray[np.float64], origin: NDArray[np.float64], cell: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners (8, P, 3) of the cell of each point, and their trilinear weights (8, P)."""
+    at = (points - origin) / cell
+    base = np.floor(at)
+    corners = np.array(list(itertools.product((0, 1), repeat=3)))[:, None]
+    weights = np.where(corners, at - base, 1 - at + base).prod(axis=2)
+    return origin + cell * (base + corners), weights
 
 
 def face_planes(piece: TriangleMesh) -> NDArray[np.float64]:

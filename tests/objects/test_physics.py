@@ -1,4 +1,4 @@
-"""Laws of mass properties and rest poses."""
+"""Laws of mass properties."""
 
 from __future__ import annotations
 
@@ -7,23 +7,16 @@ import numpy as np
 import pytest
 
 from bidexdata.frames import matrix_from_quat, random_quat
-from bidexdata.objects.closed import as_mesh, convex_hull
-from bidexdata.objects.config import RestConfig
-from bidexdata.objects.physics import mass_properties, rest_poses, solid_angles
+from bidexdata.objects.closed import as_mesh
+from bidexdata.objects.physics import mass_properties, solid_angles
 from bidexdata.objects.prepared import TriangleMesh
 
 EXACT = 1e-12  # sums of a few products in float64
-REST = RestConfig()
 IDENTITY = np.eye(3)
 
 
 def moved(mesh: TriangleMesh, R=IDENTITY, p=(0.0, 0, 0), s=1.0) -> TriangleMesh:
     return TriangleMesh(s * mesh.vertices @ R.T + p, mesh.faces)
-
-
-def centred_hull(points) -> TriangleMesh:
-    hull = as_mesh(convex_hull(np.asarray(points, float)))
-    return TriangleMesh(hull.vertices - mass_properties(hull).centre, hull.faces)
 
 
 def test_box_has_the_textbook_volume_and_inertia(box):
@@ -79,46 +72,3 @@ def test_solid_angles_sum_to_a_full_sphere_inside_and_to_nothing_outside(ball):
     assert solid_angles(ball).sum() == pytest.approx(4 * np.pi, rel=1e-9)
     outside = TriangleMesh(ball.vertices + np.array([1.0, 0, 0]), ball.faces)
     assert solid_angles(outside).sum() == pytest.approx(0, abs=1e-9)
-
-
-def test_box_rests_on_its_six_faces_the_largest_first(box):
-    rest = rest_poses(box, REST)
-    np.testing.assert_allclose(rest.heights, [0.15, 0.15, 0.25, 0.25, 0.3, 0.3], atol=EXACT)
-    assert rest.probabilities.sum() == pytest.approx(1, rel=1e-9)
-    for q, height in zip(rest.quats_wxyz, rest.heights, strict=True):
-        z = box.vertices @ matrix_from_quat(q)[2]
-        assert z.min() == pytest.approx(-height, abs=EXACT)
-        assert (z < -height + EXACT).sum() == 4
-    assert len({tuple(np.round(matrix_from_quat(q)[2], 6)) for q in rest.quats_wxyz}) == 6
-
-
-def test_every_rest_pose_has_the_centre_of_mass_over_its_support():
-    rng = np.random.default_rng(5)
-    for _ in range(20):
-        hull = centred_hull(rng.standard_normal((12, 3)))
-        rest = rest_poses(hull, REST)
-        assert rest.probabilities.sum() <= 1 + 1e-9
-        assert rest.probabilities.sum() > 0.9
-        for q, height in zip(rest.quats_wxyz, rest.heights, strict=True):
-            placed = hull.vertices @ matrix_from_quat(q).T
-            foot = placed[placed[:, 2] < -height + 1e-6][:, :2]
-            assert placed[:, 2].min() == pytest.approx(-height, abs=1e-9)
-            # The origin is in the convex hull of the foot: no direction has it outside.
-            turn = np.linspace(0, 2 * np.pi, 720, endpoint=False)
-            support = (foot @ np.stack([np.cos(turn), np.sin(turn)])).max(axis=0)
-            assert support.min() > -1e-9
-
-
-def test_a_slanted_tower_falls_off_its_foot():
-    low = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
-    tower = centred_hull(np.concatenate([low, low + np.array([6, 0, 6])]))
-    rest = rest_poses(tower, REST)
-    down = [matrix_from_quat(q)[2] for q in rest.quats_wxyz]
-    assert not any(np.allclose(d, [0, 0, 1], atol=1e-6) for d in down)
-    assert rest.probabilities.sum() == pytest.approx(1, rel=1e-9)
-
-
-def test_a_face_pointing_up_is_turned_by_exactly_half_a_turn(box):
-    rest = rest_poses(box, REST)
-    assert any(np.array_equal(q, [0, 1, 0, 0]) for q in rest.quats_wxyz)
-    assert any(np.array_equal(q, [1, 0, 0, 0]) for q in rest.quats_wxyz)

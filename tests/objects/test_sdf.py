@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
+import manifold3d
 import numpy as np
 import pytest
+from exact_distance import inside, near_points, signed_distances
 from scipy.spatial import KDTree
+from standing import tilts_after
 
-from bidexdata.objects.config import SdfConfig
+from bidexdata.objects.assemble import unit_solid
+from bidexdata.objects.closed import as_mesh, convex_hull
+from bidexdata.objects.config import PrepareConfig, SdfConfig
 from bidexdata.objects.mesh_queries import distances, winding_distances
-from bidexdata.objects.sdf import cover, signed_distance_grid
+from bidexdata.objects.prepare import prepare_object
+from bidexdata.objects.sdf import cover, exact_distances, signed_distance_grid
 from bidexdata.objects.surface import sample_surface
 from bidexdata.synthesis.distance_field import signed_distance
 
 CONFIG = SdfConfig(cells=40)
 FLOAT32 = 5e-5  # kernels work in float32, and slivers of a union cost two more digits
 DONOR = 0.15  # a borrowed closest point is too far by this many cells at most (module docstring)
+NEAR = 0.03  # of the diagonal: the zone for which the grid is exact enough
+PROMISED = 0.0025  # of the diagonal: 99th percentile of the error, and where the sign is right
 DEEP = 1.0  # near the medial axis of a fine ball all faces are equally far; donors differ most
 
 
@@ -103,3 +113,124 @@ def test_distances_of_no_points_are_none(box):
     closest, away = distances(box, np.zeros((0, 3)))
     assert closest.shape == (0, 3)
     assert away.shape == (0,)
+
+
+def plate(thickness):
+    return [as_mesh(manifold3d.Manifold.cube((1.0, 0.6, thickness), True).rotate((20, 35, 10)))]
+
+
+def frame(width):
+    """Four bars of a square frame, each a piece."""
+    bars = [((1, width, width), (0, s * 0.5, 0)) for s in (-1, 1)]
+    bars += [((width, 1, width), (s * 0.5, 0, 0)) for s in (-1, 1)]
+    return [as_mesh(manifold3d.Manifold.cube(size, True).translate(at)) for size, at in bars]
+
+
+def bowl(wall):
+    """A ring of 16 wall pieces on a round floor."""
+    around = np.linspace(0, 2 * np.pi, 17)
+    pieces = []
+    for a, b in pairwise(around):
+        corners = [
+            [(0.3 + 0.2 * z + t) * np.cos(c), (0.3 + 0.2 * z + t) * np.sin(c), 0.4 * z]
+            for c in (a, b)
+            for z in (0, 1)
+            for t in (0, wall)
+        ]
+        pieces.append(as_mesh(convex_hull(np.array(corners))))
+    floor = manifold3d.Manifold.cylinder(2 * wall, 0.3 + wall, 0.3 + wall, 16)
+    return [*pieces, as_mesh(floor.translate((0, 0, -wall)))]
+
+
+THIN = {
+    "plate of 1 %": plate(0.012),
+    "plate of 0.5 %": plate(0.006),
+    "frame of 1 %": frame(0.014),
+    "frame of 0.5 %": frame(0.007),
+    "bowl of 1 %": bowl(0.011),
+    "bowl of 0.6 %": bowl(0.0066),
+}
+
+
+def assert_promise(solid, pieces, grid, seed, count=4000):
+    """99 % of the errors near the surface, and every sign off it, at unit diagonal."""
+    points = near_points(solid, count, NEAR, seed)
+    exact = signed_distances(solid, pieces, points)
+    read, _ = signed_distance(grid, 1.0, points)
+    assert np.percentile(np.abs(read - exact), 99) <= PROMISED
+    clear = np.abs(exact) > PROMISED
+    assert np.array_equal(read[clear] < 0, exact[clear] < 0)
+
+
+@pytest.mark.parametrize("name", THIN)
+def test_thin_walls_are_resolved(name):
+    made = unit_solid(THIN[name])
+    grid = signed_distance_grid(made.mesh, made.pieces, SdfConfig())
+    assert_promise(made.mesh, made.pieces, grid, seed=1)
+
+
+def test_grids_near_the_surface_are_as_exact_as_promised(prepared):
+    for obj in prepared.values():
+        grid = signed_distance_grid(obj.solid, obj.pieces, SdfConfig())
+        assert_promise(obj.solid, obj.pieces, grid, seed=2)
+
+
+def test_stout_objects_get_a_coarser_grid_than_thin_ones(prepared):
+    box = prepared["box"]
+    stout = signed_distance_grid(box.solid, box.pieces, SdfConfig())
+    thin = unit_solid(THIN["frame of 0.5 %"])
+    fine = signed_distance_grid(thin.mesh, thin.pieces, SdfConfig())
+    assert fine.cell < 1 / 200
+    assert stout.cell > 1 / 190
+
+
+def test_exact_distances_are_those_of_every_triangle(prepared):
+    for obj in prepared.values():
+        points = near_points(obj.solid, 500, 0.1, seed=3)
+        expected = signed_distances(obj.solid, obj.pieces, points)
+        found = exact_distances(obj.solid, obj.pieces, points)
+        np.testing.assert_allclose(np.abs(found), np.abs(expected), atol=FLOAT32)
+        assert np.array_equal(found < 0, inside(obj.pieces, points))
+
+
+def test_the_gradient_has_length_one_and_follows_the_normal(prepared):
+    """Away from the medial axis: where every distance within two cells grows as the normal says."""
+    for obj in prepared.values():
+        grid = signed_distance_grid(obj.solid, obj.pieces, SdfConfig())
+        normals = obj.surface_normals.astype(float)
+        points = obj.surface_points.astype(float)
+        for sign in (-1, 1):
+            reach = [sign * k * grid.cell for k in (1, 3, 5)]
+            along = [signed_distances(obj.solid, obj.pieces, points + r * normals) for r in reach]
+            clear = np.all(np.abs(np.array(along) - np.array(reach)[:, None]) < 1e-4, axis=0)
+            assert clear.mean() > 0.2
+            at = points[clear] + reach[1] * normals[clear]
+            value, slope = signed_distance(grid, 1.0, at)
+            # Within half a cell diagonal another face may be nearer: a few per cent are off.
+            length = np.linalg.norm(slope, axis=1)
+            cosine = np.einsum("ni,ni->n", slope, normals[clear]) / length
+            assert np.abs(np.median(length) - 1) < 0.005
+            assert np.percentile(np.abs(length - 1), 90) < 0.05
+            assert np.percentile(cosine, 5) > 0.98
+            assert np.percentile(np.abs(value - reach[1]), 90) < 0.1 * grid.cell
+
+
+REAL = [
+    "contactdb_bowl.stl", "contactdb_fryingpan.stl", "scopia_shopping_basket.obj",
+    "bullet_bicycle_frame.stl", "contactdb_eyeglasses.stl", "sh3db_wire_coathanger.obj",
+    "scopia_basin.obj", "sh3d_umbrella.obj", "mujoco_cap.obj", "sh3d_dustbin.obj",
+    "contactdb_table.stl", "gso_ecoforms_plate_coacd.obj", "scopia_broom.obj", "sh3d_pallet.obj",
+    "kaykit_chair_A.obj", "duck.glb", "mujoco_bunny.obj", "quadknot.obj", "robosuite_can.stl",
+    "ycb_power_drill.obj",
+]  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", REAL)
+def test_real_objects_have_grids_as_exact_as_promised_and_rest_poses_that_hold(shared, name):
+    obj = prepare_object(shared / "objects" / "train" / name, PrepareConfig())
+    assert_promise(obj.solid, obj.pieces, obj.sdf, seed=4, count=3000)
+    assert obj.sdf.values.size < 3_500_000
+    assert len(obj.rest_heights) >= 2
+    poses = obj.rest_quats_wxyz, obj.rest_heights
+    assert tilts_after(obj.pieces, obj.volume, obj.inertia, poses).max() < 1
