@@ -12,8 +12,10 @@ from bidexdata.objects.prepared import TriangleMesh
 
 def without_double_faces(mesh: TriangleMesh) -> TriangleMesh:
     """Keep one of the faces that have the same three corners, whichever way they are wound."""
-    _, first = np.unique(np.sort(mesh.faces, axis=1), axis=0, return_index=True)
-    return TriangleMesh(mesh.vertices, mesh.faces[np.sort(first)])
+    corners = np.sort(mesh.faces, axis=1).astype(np.int64)
+    order = np.lexsort(corners.T)  # stable: the first of equals stays first
+    new = np.any(np.diff(corners[order], axis=0, prepend=-1), axis=1)
+    return TriangleMesh(mesh.vertices, mesh.faces[np.sort(order[new])])
 
 
 def oriented(mesh: TriangleMesh) -> TriangleMesh:
@@ -80,8 +82,8 @@ def _symmetric(pairs: NDArray[np.intp], weights: NDArray[np.generic], count: int
     from scipy.sparse import csr_matrix
 
     # Two faces that share two edges would add up: the first edge counts.
-    pairs, first = np.unique(np.sort(pairs, axis=1), axis=0, return_index=True)
-    rows, columns = pairs[:, 0], pairs[:, 1]
+    key, first = np.unique(pairs.min(axis=1) * count + pairs.max(axis=1), return_index=True)
+    rows, columns = key // count, key % count
     weight = np.asarray(weights, np.float64)[first]
     return csr_matrix(
         (

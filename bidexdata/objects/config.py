@@ -72,6 +72,9 @@ class RepairConfig:
     near: float = 0.02
     """A repair whose Hausdorff distance to the input is not larger is accepted without a look at
     dearer ones."""
+    near_lids: float = 0.05
+    """The same for one whose only deviation are lids: the middle of a lid is as far from the input as
+    its hole is wide. A wider one may close an opening that is meant."""
     hausdorff_samples: int = 20_000
     """Samples per direction of the Hausdorff distance, besides all vertices."""
 

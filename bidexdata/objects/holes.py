@@ -25,6 +25,8 @@ class Filled(NamedTuple):
 def filled(mesh: TriangleMesh) -> Filled | None:
     """Close every hole of a consistently wound surface by a lid that uses its edges as they are.
 
+    The vertices of the surface stay where they are and keep their numbers.
+
     A crack, whose edges lie on each other, gets triangles without area: it closes too. None where
     faces are wound both ways, so that there is no telling on which side a hole is.
     """
@@ -34,21 +36,48 @@ def filled(mesh: TriangleMesh) -> Filled | None:
     loops = _loops(edges)
     if loops is None:
         return None
+    vertices, lids = _lids(mesh, loops)
+    whole = TriangleMesh(vertices, np.concatenate([mesh.faces, lids]))
+    area = surface_area(whole)
+    share = surface_area(TriangleMesh(vertices, lids)) / area if area > 0 else 1.0
+    return Filled(whole, len(loops), share)
+
+
+def _lids(
+    mesh: TriangleMesh, loops: list[list[int]]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Vertices, and triangles of lids: flat ones, or fans around the middle of the loop.
+
+    A flat lid may not use an edge that the surface has elsewhere: four faces would meet there.
+    """
     counts = np.array([len(loop) for loop in loops], np.int64)
     corners = np.array([k for loop in loops for k in loop], np.int64)
-    lids = triangulated(mesh.vertices, corners, counts).astype(np.int32)
-    whole = TriangleMesh(mesh.vertices, np.concatenate([mesh.faces, lids]))
-    area = surface_area(whole)
-    share = surface_area(TriangleMesh(mesh.vertices, lids)) / area if area > 0 else 1.0
-    return Filled(whole, len(loops), share)
+    flat = triangulated(mesh.vertices, corners, counts)
+    owner = np.repeat(np.arange(len(loops)), np.maximum(counts - 2, 0))
+    taken = _keys(np.concatenate([mesh.faces, flat]), len(mesh.vertices))
+    key, number = np.unique(taken, return_counts=True)
+    twice = np.isin(taken[3 * len(mesh.faces) :], key[number > 1]).reshape(-1, 3).any(axis=1)
+    pointed = np.unique(owner[twice])
+    flat = flat[~np.isin(owner, pointed)]
+    vertices, fans = [mesh.vertices], [flat]
+    for k in pointed.tolist():
+        loop = np.array(loops[k])
+        middle = len(mesh.vertices) + len(vertices) - 1
+        vertices.append(mesh.vertices[loop].mean(axis=0)[None])
+        fans.append(np.stack([loop, np.roll(loop, -1), np.full_like(loop, middle)], axis=1))
+    return np.concatenate(vertices), np.concatenate(fans).astype(np.int32)
+
+
+def _keys(faces: NDArray[np.integer], count: int) -> NDArray[np.int64]:
+    """A number for each directed edge of faces, (3 F,)."""
+    a = faces.astype(np.int64).reshape(-1)
+    return a * count + np.roll(faces, -1, axis=1).astype(np.int64).reshape(-1)
 
 
 def _open_edges(mesh: TriangleMesh) -> NDArray[np.int64] | None:
     """Edges (E, 2) that lids have to use, in their direction."""
-    a = mesh.faces.astype(np.int64).reshape(-1)
-    b = np.roll(mesh.faces, -1, axis=1).astype(np.int64).reshape(-1)
     count = len(mesh.vertices)
-    key, number = np.unique(a * count + b, return_counts=True)
+    key, number = np.unique(_keys(mesh.faces, count), return_counts=True)
     back = (key % count) * count + key // count
     place = np.minimum(np.searchsorted(key, back), len(key) - 1)
     surplus = number - np.where(key[place] == back, number[place], 0)

@@ -20,6 +20,8 @@ from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.weld import weld
 
+_MANY = 200_000
+"""Faces above which a mesh is thinned out to what its finest grid can tell apart."""
 _PADDING = 3
 """Empty cells around the mesh, so that the level set closes."""
 
@@ -41,6 +43,8 @@ def remesh(mesh: TriangleMesh, config: RepairConfig) -> Remeshed | None:
     and is given a thickness.
     """
     size = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    if len(mesh.faces) > _MANY:
+        mesh = _clustered(mesh, size / config.fine_cells / 2)
     grid = _Grid.around(mesh, size / config.remesh_cells)
     lost = _lost(mesh, grid, config)
     if lost.share > config.lost_share and not lost.open_shell:
@@ -64,6 +68,19 @@ def remesh(mesh: TriangleMesh, config: RepairConfig) -> Remeshed | None:
         )
     simple = _simplified(solid, config.simplify_cells * grid.cell)
     return simple and Remeshed(simple, steps, warnings)
+
+
+def _clustered(mesh: TriangleMesh, cell: float) -> TriangleMesh:
+    """Make one vertex of those in each cell of a grid, and drop the faces that collapse."""
+    key = np.floor((mesh.vertices - mesh.vertices.min(axis=0)) / cell).astype(np.int64)
+    side = key.max(axis=0) + 1
+    _, first, number = np.unique(
+        np.ravel_multi_index(tuple(key.T), tuple(side)), return_index=True, return_inverse=True
+    )
+    faces = number.reshape(-1)[mesh.faces]
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    return TriangleMesh(mesh.vertices[first], faces.astype(np.int32))
 
 
 class _Grid(NamedTuple):

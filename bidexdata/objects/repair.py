@@ -10,6 +10,7 @@ diagonal.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -73,11 +74,12 @@ def repair(mesh: TriangleMesh, config: RepairConfig) -> Repaired:
     welded = weld(mesh, config.weld)
     if len(welded.faces) == 0:
         raise PrepareFailure(Status.NO_VOLUME, "every face is a line or a point")
+    sorted_ = functools.cache(lambda: _sorted(welded, config))
     rungs: tuple[tuple[str, Callable[[], Closed | None]], ...] = (
         ("as_is", lambda: one_solid(welded, config)),
-        ("", lambda: _mended(welded, config)),
+        ("", lambda: _mended(welded, sorted_(), config)),
         ("loose_weld", lambda: _loosely_welded(welded, config)),
-        ("", lambda: _with_remeshed_parts(welded, config)),
+        ("", lambda: _with_remeshed_parts(welded, sorted_(), config)),
         ("", lambda: _remeshed(welded, config)),
     )
     best: Repaired | None = None
@@ -92,7 +94,9 @@ def repair(mesh: TriangleMesh, config: RepairConfig) -> Repaired:
             found.mesh, name or _rung(steps), steps, found.warnings, welded, away, thin
         )
         best = tried if best is None else _better(best, tried, config)
-        if best.hausdorff <= config.near and not best.thin:
+        lids = "fill_holes" in best.steps and "remesh" not in best.steps
+        near = config.near_lids if lids else config.near
+        if best.hausdorff <= near and not best.thin:
             break
     if best is None:
         raise PrepareFailure(Status.NO_VOLUME, "the remeshed surface encloses nothing")
@@ -153,9 +157,8 @@ class _Sorted(NamedTuple):
         return (f"{self.holes} holes closed, at most {self.lids:.1%} of a component's area",)
 
 
-def _mended(mesh: TriangleMesh, config: RepairConfig) -> Closed | None:
+def _mended(mesh: TriangleMesh, found: _Sorted, config: RepairConfig) -> Closed | None:
     """Wind consistently, close holes; keep the closed components when the open ones are crumbs."""
-    found = _sorted(mesh, config)
     share = sum(map(surface_area, found.open)) / surface_area(mesh)
     if not found.closed or share > _CRUMBS:
         return None
@@ -216,13 +219,12 @@ def _loosely_welded(mesh: TriangleMesh, config: RepairConfig) -> Closed | None:
     looser = weld(mesh, config.loose_weld)
     if len(looser.faces) == 0 or surface_area(looser) < _AREA_KEPT * surface_area(mesh):
         return None
-    found = one_solid(looser, config) or _mended(looser, config)
+    found = one_solid(looser, config) or _mended(looser, _sorted(looser, config), config)
     return found and found._replace(steps=("loose_weld", *found.steps))
 
 
-def _with_remeshed_parts(mesh: TriangleMesh, config: RepairConfig) -> Closed | None:
+def _with_remeshed_parts(mesh: TriangleMesh, found: _Sorted, config: RepairConfig) -> Closed | None:
     """Give what is open a new surface and unite it with what is closed."""
-    found = _sorted(mesh, config)
     if not found.closed or not found.open or len(found.closed) > config.max_components:
         return None
     share = sum(map(surface_area, found.open)) / surface_area(mesh)

@@ -156,6 +156,30 @@ def test_holes_anywhere_are_closed_without_moving_a_vertex(ball, seed):
     assert np.array_equal(found.mesh.faces[: int((~gone).sum())], ball.faces[~gone])
 
 
+def test_a_lid_does_not_use_an_edge_that_the_surface_has(ball):
+    """Four corners in a ring whose diagonal is an edge of the other side: the lid gets a middle."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    for faces in ([[0, 2, 1], [0, 3, 2]], [[0, 3, 1], [1, 3, 2]]):
+        sheet = TriangleMesh(corners, np.array(faces, np.int32))
+        found = filled(sheet)
+        assert found is not None
+        edges = np.sort(np.stack([found.mesh.faces, np.roll(found.mesh.faces, -1, 1)], 2), 2)
+        _, count = np.unique(edges.reshape(-1, 2), axis=0, return_counts=True)
+        assert (count == 2).all()
+        assert np.array_equal(found.mesh.vertices[:4], corners)
+
+
+def test_a_mesh_of_many_faces_is_thinned_out_before_a_remesh(monkeypatch, ball):
+    middle = ball.vertices[ball.faces].mean(axis=1)
+    dome = TriangleMesh(ball.vertices, ball.faces[middle[:, 2] > 0.03])
+    whole = repair(dome, CONFIG)
+    monkeypatch.setattr("bidexdata.objects.remesh._MANY", 100)
+    thinned = repair(dome, CONFIG)
+    assert thinned.method == whole.method == "remesh_shell"
+    assert volume(thinned.mesh) == pytest.approx(volume(whole.mesh), rel=0.05)
+    assert thinned.hausdorff < whole.hausdorff + CELL / 2
+
+
 def test_winding_that_differs_across_an_edge_has_no_lids(ball):
     faces = ball.faces.copy()
     faces[7] = faces[7, ::-1]
