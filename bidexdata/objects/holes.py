@@ -43,6 +43,12 @@ def filled(mesh: TriangleMesh) -> Filled | None:
     return Filled(whole, len(loops), share)
 
 
+def is_closed(mesh: TriangleMesh) -> bool:
+    """Tell whether every edge is used as often one way as the other; cheaper than any repair."""
+    edges = _open_edges(mesh)
+    return edges is not None and len(edges) == 0
+
+
 def _lids(
     mesh: TriangleMesh, loops: list[list[int]]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

@@ -21,7 +21,7 @@ from bidexdata.objects.components import components, joined, oriented, without_d
 from bidexdata.objects.config import RepairConfig
 from bidexdata.objects.deviation import hausdorff
 from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.holes import Filled, filled
+from bidexdata.objects.holes import Filled, filled, is_closed
 from bidexdata.objects.physics import mass_properties, surface_area
 from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.remesh import remesh
@@ -31,6 +31,8 @@ from bidexdata.record.status import Status
 
 _FLAT = 1e-6
 """Thickness below which a mesh of unit diagonal is a drawing in a plane."""
+_INNER = 0.2
+"""Share of the volume within the outer walls that inner walls enclose at least: less is a detail."""
 _RIM = 0.02
 """How far inner walls may reach out of the box of the outer ones."""
 _CRUMBS = 0.01
@@ -76,7 +78,7 @@ def repair(mesh: TriangleMesh, config: RepairConfig) -> Repaired:
         raise PrepareFailure(Status.NO_VOLUME, "every face is a line or a point")
     sorted_ = functools.cache(lambda: _sorted(welded, config))
     rungs: tuple[tuple[str, Callable[[], Closed | None]], ...] = (
-        ("as_is", lambda: one_solid(welded, config)),
+        ("as_is", lambda: one_solid(welded, config) if is_closed(welded) else None),
         ("", lambda: _mended(welded, sorted_(), config)),
         ("loose_weld", lambda: _loosely_welded(welded, config)),
         ("", lambda: _with_remeshed_parts(welded, sorted_(), config)),
@@ -203,7 +205,7 @@ def _hollow(parts: list[TriangleMesh], tries: list[Filled | None]) -> list[bool]
     volume = {k: mass_properties(parts[k]).volume for k in holed}
     walls = [False] * len(parts)
     for inner in (k for k in holed if volume[k] < 0):
-        for outer in (k for k in holed if volume[k] > 0):
+        for outer in (k for k in holed if 0 < volume[k] < -volume[inner] / _INNER):
             low, high = boxes[inner] - boxes[outer]
             if (low >= -_RIM).all() and (high <= _RIM).all():
                 walls[inner] = walls[outer] = True
