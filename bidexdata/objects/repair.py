@@ -28,6 +28,7 @@ from bidexdata.objects.remesh import remesh
 from bidexdata.objects.solids import Closed, is_sheet, one_solid, united
 from bidexdata.objects.weld import weld
 from bidexdata.record.status import Status
+from bidexdata.wording import counted
 
 _FLAT = 1e-6
 """Thickness below which a mesh of unit diagonal is a drawing in a plane."""
@@ -156,7 +157,9 @@ class _Sorted(NamedTuple):
     def warnings(self) -> tuple[str, ...]:
         if not self.holes:
             return ()
-        return (f"{self.holes} holes closed, at most {self.lids:.1%} of a component's area",)
+        return (
+            f"{counted(self.holes, 'hole')} closed, at most {self.lids:.1%} of a component's area",
+        )
 
 
 def _mended(mesh: TriangleMesh, found: _Sorted, config: RepairConfig) -> Closed | None:

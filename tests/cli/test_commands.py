@@ -214,5 +214,5 @@ def test_a_dry_run_lists_the_inputs_and_writes_nothing(
         "2",
     ]
     assert run(arguments) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == "2 inputs; nothing was written"
+    assert capsys.readouterr().out.splitlines()[-1] == "2 inputs (2 ok); nothing was written"
     assert not (tmp_path / "lib").exists()

@@ -23,6 +23,7 @@ from bidexdata.cli.main import COMMANDS, run
 from bidexdata.record.fields import columns_written_by
 from bidexdata.runs.browse import open_browsable
 from bidexdata.runs.finished import Finished
+from bidexdata.runs.library_report import TIMES
 from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.pack import rows_of_object
 from bidexdata.runs.run import join_tasks
@@ -39,7 +40,7 @@ TASKS = 3
 
 def files_of(folder: Path) -> dict[str, bytes]:
     """All shards, plan and header of a run: what must not depend on how it was made."""
-    kept = [p for p in folder.rglob("*") if p.is_file() and "logs" not in p.parts]
+    kept = [p for p in folder.rglob("*") if p.is_file() and not {"logs", TIMES} & {*p.parts}]
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in kept}
 
 

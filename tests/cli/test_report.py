@@ -82,7 +82,7 @@ def test_warnings_of_a_library_are_counted_and_listed(tmp_path, capsys):
     assert run([*words, "--executor", "inline"]) == 0
     assert "1 object with warnings, which `bidexdata info" in capsys.readouterr().out
     assert run(["info", str(tmp_path / "lib")]) == 0
-    assert re.search("open.obj: warning: .*remeshed", capsys.readouterr().out)
+    assert re.search("open.obj: warning: 1 hole closed", capsys.readouterr().out)
 
 
 def test_scenes_without_a_grasp_are_named_by_synth_and_by_info(tmp_path, capsys):

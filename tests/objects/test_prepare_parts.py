@@ -73,7 +73,11 @@ def _one_part(meshes: Path, out: Path, config: PrepareConfig, i: int) -> None:
     part(meshes, out, config, (i, 3))
 
 
-def test_parts_at_the_same_time_give_the_bytes_of_one_run(tmp_path, meshes, small, single):
+def test_parts_at_the_same_time_give_the_bytes_of_one_run(
+    tmp_path, meshes, small, single, monkeypatch
+):
+    # The forked machines have the address space of all tests before: no bound of a worker fits it.
+    monkeypatch.setattr("bidexdata.runs.prepare.limit_memory", lambda gib: None)
     out = tmp_path / "lib"
     context = multiprocessing.get_context("fork")
     # Every part twice, so that two also write the same objects at the same time.
