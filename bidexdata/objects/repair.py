@@ -40,6 +40,9 @@ _CRUMBS = 0.01
 """Share of the area in open components that may be dropped."""
 _AREA_KEPT = 0.99
 """Share of the area that a loose weld must keep."""
+_FEWEST = 3
+"""Faces below which a component encloses nothing, lids or not: a file of loose triangles has
+thousands of them."""
 _CONVEX = 0.985
 """Share of its hull that a plate fills: one that is so thin is left alone."""
 _BETTER, _NEARLY = 0.7, 1.5
@@ -185,7 +188,7 @@ def _sorted(mesh: TriangleMesh, config: RepairConfig) -> _Sorted:
     what lies between them is theirs to enclose.
     """
     parts = components(oriented(without_double_faces(mesh)))
-    tries = [filled(part) for part in parts]
+    tries = [filled(part) if len(part.faces) >= _FEWEST else None for part in parts]
     hollow = _hollow(parts, tries)
     found = _Sorted([], [], 0, 0.0)
     for part, lids, walls in zip(parts, tries, hollow, strict=True):
