@@ -22,6 +22,8 @@ from bidexdata.objects.weld import weld
 
 _MANY = 200_000
 """Faces above which a mesh is thinned out to what its finest grid can tell apart."""
+_SAMPLES = 20_000
+"""About how many triangles are asked whether they are lost."""
 _PADDING = 3
 """Empty cells around the mesh, so that the level set closes."""
 
@@ -122,7 +124,8 @@ class _Lost(NamedTuple):
 
 def _lost(mesh: TriangleMesh, grid: _Grid, config: RepairConfig) -> _Lost:
     solid = _level_set(grid.field, grid.low, grid.cell)
-    fine = _subdivided(mesh, 2 * grid.cell)
+    # What is all spikes has so much area that cells would take minutes.
+    fine = _subdivided(mesh, max(2 * grid.cell, float(np.sqrt(_areas(mesh).sum() / _SAMPLES))))
     if _lid_share(solid, mesh, 2 * grid.cell) > config.lid_share:
         return _Lost(solid, fine, 1.0, True)
     lost = _lost_faces(mesh, fine, config.lost_cells * grid.cell)
