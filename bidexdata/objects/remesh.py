@@ -22,8 +22,8 @@ from bidexdata.objects.weld import weld
 
 _MANY = 200_000
 """Faces above which a mesh is thinned out to what its finest grid can tell apart."""
-_SAMPLES = 20_000
-"""About how many triangles are asked whether they are lost."""
+_SAMPLES = 40_000
+"""Triangles that are asked whether they are lost: the largest, and one of each face."""
 _PADDING = 3
 """Empty cells around the mesh, so that the level set closes."""
 
@@ -124,12 +124,18 @@ class _Lost(NamedTuple):
 
 def _lost(mesh: TriangleMesh, grid: _Grid, config: RepairConfig) -> _Lost:
     solid = _level_set(grid.field, grid.low, grid.cell)
-    # What is all spikes has so much area that cells would take minutes.
-    fine = _subdivided(mesh, max(2 * grid.cell, float(np.sqrt(_areas(mesh).sum() / _SAMPLES))))
+    fine, parent = _subdivided(mesh, 2 * grid.cell)
     if _lid_share(solid, mesh, 2 * grid.cell) > config.lid_share:
         return _Lost(solid, fine, 1.0, True)
-    lost = _lost_faces(mesh, fine, config.lost_cells * grid.cell)
     area = _areas(fine)
+    order = np.argsort(-area, kind="stable")
+    one_of_each = order[np.unique(parent[order], return_index=True)[1]]
+    asked = np.union1d(order[:_SAMPLES], one_of_each)
+    found = _lost_faces(mesh, fine._replace(faces=fine.faces[asked]), config.lost_cells * grid.cell)
+    # Spikes have slivers by the hundred thousand: those go with the larger parts of their face.
+    weight = np.where(found, area[asked], -area[asked])
+    lost = np.bincount(parent[asked], weight, len(mesh.faces))[parent] > 0
+    lost[asked] = found
     share = float(area[lost].sum() / area.sum())
     return _Lost(solid, TriangleMesh(fine.vertices, fine.faces[lost]), share, False)
 
@@ -179,14 +185,15 @@ def _lost_faces(mesh: TriangleMesh, fine: TriangleMesh, depth: float) -> NDArray
     return (inner > 0) & (outer > 0)
 
 
-def _subdivided(mesh: TriangleMesh, longest: float) -> TriangleMesh:
-    """Split faces until no edge is longer than `longest`."""
+def _subdivided(mesh: TriangleMesh, longest: float) -> tuple[TriangleMesh, NDArray[np.int64]]:
+    """Split faces until no edge is longer than `longest`; also which face each part is of."""
     import trimesh
 
-    split = trimesh.remesh.subdivide_to_size(
-        mesh.vertices, mesh.faces, max_edge=longest, max_iter=20
+    split: Any = trimesh.remesh.subdivide_to_size(
+        mesh.vertices, mesh.faces, max_edge=longest, max_iter=20, return_index=True
     )
-    return TriangleMesh(np.asarray(split[0], np.float64), np.asarray(split[1], np.int32))
+    fine = TriangleMesh(np.asarray(split[0], np.float64), np.asarray(split[1], np.int32))
+    return fine, np.asarray(split[2], np.int64)
 
 
 def _areas(mesh: TriangleMesh) -> NDArray[np.float64]:

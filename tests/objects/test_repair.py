@@ -180,6 +180,17 @@ def test_a_mesh_of_many_faces_is_thinned_out_before_a_remesh(monkeypatch, ball):
     assert thinned.hausdorff < whole.hausdorff + CELL / 2
 
 
+def test_slivers_are_lost_with_the_face_that_they_are_of(monkeypatch):
+    sheets = joined(*(cube((0.5, 0.4, t), (0, 0, t)) for t in (0.002, 0.3)))
+    rim = np.isclose(sheets.vertices[sheets.faces].mean(axis=1)[:, 0], 0.25)
+    torn = TriangleMesh(sheets.vertices, sheets.faces[~rim])
+    whole = repair(torn, CONFIG)
+    monkeypatch.setattr("bidexdata.objects.remesh._SAMPLES", 300)
+    asked = repair(torn, CONFIG)
+    assert asked.steps == whole.steps
+    assert volume(asked.mesh) == pytest.approx(volume(whole.mesh), rel=0.02)
+
+
 def test_winding_that_differs_across_an_edge_has_no_lids(ball):
     faces = ball.faces.copy()
     faces[7] = faces[7, ::-1]
