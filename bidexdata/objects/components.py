@@ -41,7 +41,7 @@ def oriented(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def components(mesh: TriangleMesh) -> list[TriangleMesh]:
-    """Parts that hang together by edges of exactly two faces, largest first face first."""
+    """Parts that hang together by edges of exactly two faces."""
     pairs, _ = _neighbours(mesh.faces)
     label = _labels(_symmetric(pairs, np.ones(len(pairs)), len(mesh.faces)))
     order = np.argsort(label, kind="stable")

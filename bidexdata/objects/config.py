@@ -51,8 +51,9 @@ class RepairConfig:
     """Share of the area that may be lost before sheets are thickened."""
     lid_share: float = 0.3
     """Share of the area of a component, or of a remeshed surface, that may be lids over holes. Above
-    it the mesh is taken for an open shell and made thick instead of filled. Measured: 51 of 53 real open meshes have none,
-    two have 3 %, a cap without a lining has 35 %, a box scanned without its bottom has 24 %."""
+    it the mesh is taken for an open shell and made thick instead of filled. Measured: 51 of 53 real
+    open meshes have none, two have 3 %, a cap without a lining has 35 %, a box scanned without its
+    bottom has 24 %."""
     simplify_cells: float = 0.15
     """Tolerance of the simplification after a remesh, in cells."""
     min_part: float = 1e-5
@@ -222,8 +223,8 @@ class SelectConfig:
     near_duplicates: bool = True
     """Keep shapes that an earlier input has already; `near_duplicate_of` of the index names it."""
     alike: float = 0.005
-    """Mean difference of two descriptors below which their shapes are alike. Measured: newly sampled
-    and turned copies differ by up to 0.003, different objects by 0.008 or more."""
+    """Mean difference of two descriptors below which their shapes are alike: between that of newly
+    sampled and turned copies and that of different objects, which `benchmarks/solids.py` prints."""
 
     def __post_init__(self):
         _positive(self, "alike")

@@ -41,10 +41,20 @@ def mass_properties(mesh: TriangleMesh) -> MassProperties:
     return MassProperties(volume, centre + shift, inertia)
 
 
+def face_areas(mesh: TriangleMesh) -> NDArray[np.float64]:
+    """Area of every face, (F,)."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+
+
 def surface_area(mesh: TriangleMesh) -> float:
     """Sum of the areas of all faces."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+    return float(face_areas(mesh).sum())
+
+
+def thickness(mesh: TriangleMesh) -> float:
+    """Mean thickness of the walls of a closed mesh: twice its volume over its area."""
+    return 2 * abs(mass_properties(mesh).volume) / surface_area(mesh)
 
 
 def solid_angles(mesh: TriangleMesh) -> NDArray[np.float64]:

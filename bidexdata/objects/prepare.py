@@ -1,8 +1,8 @@
 """prepare_object: one mesh becomes the solid that every later stage sees.
 
-Read, repair, split into convex pieces, or take the pieces that the source gives; then everything is computed on the union of the pieces:
-mass, frame (origin at the centre of mass, unit box diagonal), surface points, signed distances,
-hull, rest poses.
+Read, repair, split into convex pieces, or take the pieces that the source gives; then everything
+is computed on the union of the pieces: mass, frame (origin at the centre of mass, unit box
+diagonal), surface points, signed distances, hull, rest poses.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from bidexdata.objects.sources import SourceItem
 from bidexdata.objects.sources.shapes import shape_mesh
 from bidexdata.objects.traits import mesh_hash, traits
 from bidexdata.record.status import Status
+from bidexdata.wording import counted
 
 
 def prepare_object(
@@ -64,7 +65,7 @@ def prepare_object(
     whole = _loaded(source, item, data, given, config)
     loaded, dropped = without_debris(whole, config.repair)
     if dropped:
-        doubts += (f"{dropped} specks dropped that lie apart",)
+        doubts += (f"{counted(dropped, 'speck')} dropped that lie apart",)
     repaired = repair(loaded.mesh, config.repair)
     shape = _shape(repaired.mesh, config)
     split = decompose(repaired.mesh, config.convex)

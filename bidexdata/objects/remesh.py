@@ -16,7 +16,7 @@ from bidexdata.devices import start_warp
 from bidexdata.objects.closed import as_manifold, as_mesh, union
 from bidexdata.objects.config import RepairConfig
 from bidexdata.objects.mesh_queries import distances, winding_distances
-from bidexdata.objects.physics import mass_properties
+from bidexdata.objects.physics import face_areas, mass_properties
 from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.weld import weld
 
@@ -127,7 +127,7 @@ def _lost(mesh: TriangleMesh, grid: _Grid, config: RepairConfig) -> _Lost:
     fine, parent = _subdivided(mesh, 2 * grid.cell)
     if _lid_share(solid, mesh, 2 * grid.cell) > config.lid_share:
         return _Lost(solid, fine, 1.0, True)
-    area = _areas(fine)
+    area = face_areas(fine)
     order = np.argsort(-area, kind="stable")
     one_of_each = order[np.unique(parent[order], return_index=True)[1]]
     asked = np.union1d(order[:_SAMPLES], one_of_each)
@@ -164,7 +164,7 @@ def _lid_share(solid: TriangleMesh, mesh: TriangleMesh, limit: float) -> float:
     """Share of the remeshed area that is farther than `limit` from the mesh: lids over holes."""
     if len(solid.faces) == 0:
         return 0.0
-    area = _areas(solid)
+    area = face_areas(solid)
     _, away = distances(mesh, solid.vertices[solid.faces].mean(axis=1))
     return float(area[away > limit].sum() / area.sum())
 
@@ -194,11 +194,6 @@ def _subdivided(mesh: TriangleMesh, longest: float) -> tuple[TriangleMesh, NDArr
     )
     fine = TriangleMesh(np.asarray(split[0], np.float64), np.asarray(split[1], np.int32))
     return fine, np.asarray(split[2], np.int64)
-
-
-def _areas(mesh: TriangleMesh) -> NDArray[np.float64]:
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
 
 
 def _simplified(mesh: TriangleMesh, tolerance: float) -> TriangleMesh | None:

@@ -2,10 +2,10 @@
 
 Each rung hands its result to the same judges: manifold3d accepts it as closed and oriented, it has
 a volume (`solids`), no part of it or of the input is far from the other (`deviation`: a lid over an
-opening that was meant to be one, or a part that got lost, shows there), and its walls are not paper.
-What a rung cannot do goes to the next; where none comes near enough, the nearest is taken. Only the last rungs, which
-give what is still open a new surface, change where surfaces are. All lengths are fractions of the
-diagonal.
+opening that was meant to be one, or a part that got lost, shows there), and its walls are not
+paper. What a rung cannot do goes to the next; where none comes near enough, the nearest is taken.
+Only the last rungs, which give what is still open a new surface, change where surfaces are. All
+lengths are fractions of the diagonal.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from bidexdata.objects.config import RepairConfig
 from bidexdata.objects.deviation import hausdorff
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.holes import Filled, filled, is_closed
-from bidexdata.objects.physics import mass_properties, surface_area
+from bidexdata.objects.physics import mass_properties, surface_area, thickness
 from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.remesh import remesh
 from bidexdata.objects.solids import Closed, is_sheet, one_solid, united
@@ -107,11 +107,6 @@ def repair(mesh: TriangleMesh, config: RepairConfig) -> Repaired:
     if best is None:
         raise PrepareFailure(Status.NO_VOLUME, "the remeshed surface encloses nothing")
     return best._replace(warnings=best.warnings + _of_thickness(best.mesh, config))
-
-
-def thickness(mesh: TriangleMesh) -> float:
-    """Mean thickness of the walls of a closed mesh: twice its volume over its area."""
-    return 2 * abs(mass_properties(mesh).volume) / surface_area(mesh)
 
 
 def _better(best: Repaired, tried: Repaired, config: RepairConfig) -> Repaired:

@@ -9,8 +9,9 @@ import numpy as np
 
 from bidexdata.objects.closed import as_manifold, as_mesh, union
 from bidexdata.objects.config import RepairConfig
-from bidexdata.objects.physics import mass_properties, solid_angles, surface_area
+from bidexdata.objects.physics import solid_angles, thickness
 from bidexdata.objects.prepared import TriangleMesh
+from bidexdata.wording import counted
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -55,28 +56,27 @@ def united(parts: Sequence[Manifold], config: RepairConfig) -> Closed | None:
     total = sum(p.volume() for p in outer + wrong)
     if total < NO_VOLUME:
         return None
-    kept, dropped = [], 0
-    for part in outer + wrong:
-        if part.volume() >= config.min_part * total:
-            kept.append(part)
-        elif _size(part) < config.debris:
-            dropped += 1
-        elif 2 * part.volume() < _SHEET * part.surface_area():
-            return None
-        else:
-            kept.append(part)
-    turned = len(wrong) - dropped if len(wrong) > dropped else 0
+    solids, least = outer + wrong, config.min_part * total
+    debris = [p.volume() < least and _size(p) < config.debris for p in solids]
+    kept = [p for p, gone in zip(solids, debris, strict=True) if not gone]
+    if any(2 * p.volume() < _SHEET * p.surface_area() for p in kept if p.volume() < least):
+        return None
+    dropped, turned = sum(debris), len(wrong) - sum(debris[len(outer) :])
     steps, warnings = [], []
     if cavities:
         steps.append("fill_cavities")
-        warnings.append(f"{len(cavities)} inner cavities filled")
+        warnings.append(f"{counted(len(cavities), 'inner cavity', 'inner cavities')} filled")
     if turned:
         steps.append("turn_outward")
-        text = "faces turned outward" if len(parts) == 1 else f"{turned} components turned outward"
+        text = (
+            "faces turned outward"
+            if len(parts) == 1
+            else f"{counted(turned, 'component')} turned outward"
+        )
         warnings.append(text)
     if dropped:
         steps.append("drop_debris")
-        warnings.append(f"{dropped} specks dropped")
+        warnings.append(f"{counted(dropped, 'speck')} dropped")
     if len(kept) > 1:
         steps.append("unite")
     whole = kept[0] if len(kept) == 1 else _without_cavities(union(kept))
@@ -93,7 +93,7 @@ def winding_number(mesh: TriangleMesh, point: NDArray[np.float64]) -> float:
 
 def is_sheet(mesh: TriangleMesh) -> bool:
     """Tell whether a closed mesh has no thickness."""
-    return 2 * abs(mass_properties(mesh).volume) < _SHEET * surface_area(mesh)
+    return thickness(mesh) < _SHEET
 
 
 def _size(part: Manifold) -> float:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from bidexdata.objects.config import SurfaceConfig
 from bidexdata.objects.mesh_queries import faces_wall
+from bidexdata.objects.physics import face_areas
 from bidexdata.objects.prepared import TriangleMesh
 
 _LIFT = 1e-5
@@ -48,8 +49,7 @@ def sample_surface(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Draw points (count, 3) uniformly by area, with the face each lies on (count,)."""
     corners = mesh.vertices[mesh.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    cumulative = np.cumsum(np.linalg.norm(cross, axis=1))
+    cumulative = np.cumsum(face_areas(mesh))
     draw = rng.random((count, 3))
     face = np.searchsorted(cumulative, draw[:, 0] * cumulative[-1], side="right")
     face = np.minimum(face, len(corners) - 1)

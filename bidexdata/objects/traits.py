@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.facets import adjacency
-from bidexdata.objects.physics import mass_properties, surface_area
+from bidexdata.objects.components import components
+from bidexdata.objects.physics import mass_properties, thickness
 from bidexdata.objects.prepared import TriangleMesh
 
 DESCRIPTOR_POINTS = 1000
@@ -35,18 +35,14 @@ class Traits(NamedTuple):
 
 def traits(mesh: TriangleMesh) -> Traits:
     """Measure a closed, oriented mesh."""
-    mass = mass_properties(mesh)
-    axes = np.linalg.eigh(mass.inertia)[1]
+    axes = np.linalg.eigh(mass_properties(mesh).inertia)[1]
     extent = np.ptp(mesh.vertices @ axes, axis=0)
-    parts = _parts(mesh)
-    corners = mesh.vertices[mesh.faces]
-    signed = np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    volumes = np.bincount(parts, weights=signed)
+    volumes = np.array([mass_properties(part).volume for part in components(mesh)])
     # Euler: V - E + F = 2 (surfaces) - 2 (handles), and a closed mesh has 3 edges per 2 faces.
     euler = len(np.unique(mesh.faces)) - len(mesh.faces) // 2
     return Traits(
         aspect=float(extent.max() / max(extent.min(), 1e-12)),
-        thickness=2 * abs(mass.volume) / surface_area(mesh),
+        thickness=thickness(mesh),
         components=int((volumes > 0).sum()),
         genus=len(volumes) - euler // 2,
     )
@@ -86,14 +82,3 @@ def mesh_hash(mesh: TriangleMesh) -> str:
     digest = hashlib.sha256(f"{len(grid)} {len(mesh.faces)}\n".encode())
     digest.update(grid.astype("<i8").tobytes())
     return digest.hexdigest()
-
-
-def _parts(mesh: TriangleMesh) -> NDArray[np.int64]:
-    """Number of the connected surface that every face belongs to, (F,)."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    first, second, _ = adjacency(mesh.faces)
-    count = len(mesh.faces)
-    graph = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
-    return connected_components(graph, directed=False)[1].astype(np.int64)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from bidexdata.objects.config import SelectConfig
 from bidexdata.objects.selection import near_duplicates, outside
@@ -19,12 +18,12 @@ def reason_row(status: Status, reason: str) -> Row:
     return {"status": int(status), "status_label": status.label, "reason": text}
 
 
-def leave_out(rows: Mapping[int, Row], folders: Mapping[int, Path], config: SelectConfig) -> None:
+def leave_out(rows: Sequence[Row], folders: Mapping[int, Path], config: SelectConfig) -> None:
     """Mark what the selection leaves out, in place, and name near duplicates of earlier inputs.
 
     Args:
-        rows: Of the index, by number of the input; only prepared ones are looked at.
-        folders: Of the prepared objects.
+        rows: Of the index, one per input; only prepared ones are looked at.
+        folders: Of the prepared objects, by number of the input.
         config: The selection.
     """
     for number in folders:
@@ -32,13 +31,9 @@ def leave_out(rows: Mapping[int, Row], folders: Mapping[int, Path], config: Sele
         if reason:
             rows[number].update(reason_row(Status.NOT_SELECTED, reason))
     left = [n for n in sorted(folders) if rows[n]["status"] == Status.OK]
-    shapes = [_shape(folders[n]) for n in left]
+    shapes = [read_document(folders[n])["provenance"] for n in left]
     for later, first in near_duplicates(shapes, config).items():
         row, name = rows[left[later]], str(rows[left[first]]["object_id"])
         row["near_duplicate_of"] = name
         if not config.near_duplicates:
             row.update(reason_row(Status.NEAR_DUPLICATE, f"like {name}"))
-
-
-def _shape(folder: Path) -> Mapping[str, Any]:
-    return read_document(folder)["provenance"]

@@ -6,6 +6,7 @@ from a file of their own, so that everything but `.times` is the same for the sa
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import os
@@ -72,8 +73,11 @@ def read_times(library: Path) -> dict[str, float]:
     found: dict[str, float] = {}
     for path in sorted((library / TIMES).glob("*.csv"), key=lambda p: p.stat().st_mtime):
         with path.open(newline="", encoding="utf-8") as file:
-            # A killed process may have left half a line.
-            found |= {row[0]: float(row[1]) for row in csv.reader(file) if len(row) == 2}
+            for row in csv.reader(file):
+                # A killed process may have left half a line.
+                with contextlib.suppress(ValueError):
+                    object_id, seconds = row
+                    found[object_id] = float(seconds)
     return found
 
 

@@ -30,6 +30,7 @@ from bidexdata.objects.library import (
     write_index,
 )
 from bidexdata.objects.prepare import check_selected, prepare_object
+from bidexdata.objects.prepared import PreparedObject
 from bidexdata.objects.selection import has_bounds, unwanted
 from bidexdata.objects.sources import SourceItem, fetched, resolve_sources
 from bidexdata.objects.storage import read_document, write_object
@@ -173,18 +174,18 @@ def prepare_library(
         parts.write(shard, {n: rows[n] for n in my_tasks if rows[n]["status"] != Status.OK})
     waiting = _settle_others({n: t for n, t in tasks.items() if n not in my_tasks}, rows, parts)
     known = mine if waiting else range(len(items))
-    made = {n: _folder(tasks[n]) for n in known if rows[n]["status"] == Status.OK}
-    for number, folder in made.items():
+    folders = {n: _folder(tasks[n]) for n in known if rows[n]["status"] == Status.OK}
+    for number, folder in folders.items():
         rows[number].update(index_columns(folder))
     if not waiting:
-        leave_out(dict(enumerate(rows)), made, config.select)
+        leave_out(rows, folders, config.select)
         write_index(out, rows, _identity(config), _asked(config))
         write_report(out, rows)
         parts.remove()
     return PrepareReport(
         library=out,
         rows=tuple(rows[n] for n in known),
-        resumed=len(made) - len(to_do.keys() & made.keys()),
+        resumed=len(folders.keys() - to_do.keys()),
         made=len(to_do),
         seconds=time.monotonic() - start,
         fingerprint="" if waiting else Library.open(out).fingerprint,
@@ -199,11 +200,16 @@ def prepare_one(task: PrepareTask) -> Row:
         The columns that are known here: status and reason, empty when everything succeeded.
     """
     started = time.monotonic()
-    made, row = _within_limits(task, prepare_object)
+    made, row = _within_limits(task, _made_and_drawn)
     if made is not None and not _complete(task):  # by another machine, meanwhile
-        beside = {THUMBNAIL: thumbnail(made)}
-        write_object(_folder(task), made, _identity(task.config), beside)
+        obj, picture = made
+        write_object(_folder(task), obj, _identity(task.config), {THUMBNAIL: picture})
     return {**row, SECONDS: time.monotonic() - started}
+
+
+def _made_and_drawn(item: SourceItem, config: PrepareConfig) -> tuple[PreparedObject, bytes]:
+    obj = prepare_object(item, config)
+    return obj, thumbnail(obj)
 
 
 def _checked_one(task: PrepareTask) -> Row:

@@ -9,12 +9,13 @@ import pytest
 from mesh_files import write_obj
 
 from bidexdata.errors import BadConfig
+from bidexdata.kinds import REPORT
 from bidexdata.objects.closed import as_mesh
 from bidexdata.objects.config import SelectConfig
 from bidexdata.objects.library import Library
 from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.selection import near_duplicates, outside, unwanted
-from bidexdata.runs.library_report import REPORT, read_times
+from bidexdata.runs.library_report import TIMES, append_time, read_times
 from bidexdata.runs.prepare import prepare_library
 
 TRAITS = {"aspect": 4.0, "thickness": 0.01, "components": 2, "genus": 1}
@@ -150,3 +151,10 @@ def test_the_report_shows_every_input_with_its_picture_and_time(tmp_path, boxes,
             assert (Library.open(out).folder(row["object_id"]) / "thumbnail.png").is_file()
     assert "<bad>" not in page
     assert set(read_times(out)) == {row["object_id"] for row in report.rows}
+
+
+def test_half_a_line_of_a_killed_process_loses_no_other_time(tmp_path):
+    append_time(tmp_path, "one", 1.5)
+    for cut in ("two", "two,", "two,1.x", "two,1,1"):
+        (tmp_path / TIMES / "killed.csv").write_text(f"zero,0.5\n{cut}")
+        assert read_times(tmp_path) == {"one": 1.5, "zero": 0.5}

@@ -20,10 +20,10 @@ from bidexdata.objects.deviation import hausdorff
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.holes import filled
 from bidexdata.objects.loading import unit_mesh
-from bidexdata.objects.physics import mass_properties
+from bidexdata.objects.physics import mass_properties, thickness
 from bidexdata.objects.prepare import prepare_object
 from bidexdata.objects.prepared import TriangleMesh
-from bidexdata.objects.repair import repair, thickness
+from bidexdata.objects.repair import repair
 from bidexdata.objects.solids import winding_number
 from bidexdata.objects.weld import weld
 from bidexdata.record.status import Status
@@ -108,7 +108,7 @@ def test_a_cavity_is_filled_and_said_so(ball):
     inner = TriangleMesh(0.5 * ball.vertices, ball.faces)
     hollow = repair(joined(ball, turned(inner)), CONFIG)
     assert volume(hollow.mesh) == pytest.approx(volume(ball), rel=1e-9)
-    assert hollow.warnings == ("1 inner cavities filled",)
+    assert hollow.warnings == ("1 inner cavity filled",)
     nested = repair(joined(ball, inner), CONFIG)
     assert volume(nested.mesh) == pytest.approx(volume(ball), rel=1e-9)
 
@@ -117,7 +117,14 @@ def test_an_inward_part_that_is_no_cavity_is_turned():
     parts = joined(cube((0.2, 0.2, 0.2)), turned(cube((0.2, 0.2, 0.2), (0.5, 0, 0))))
     repaired = repair(parts, CONFIG)
     assert volume(repaired.mesh) == pytest.approx(0.016)
-    assert repaired.warnings == ("1 components turned outward",)
+    assert repaired.warnings == ("1 component turned outward",)
+
+
+def test_debris_of_outward_parts_does_not_hide_a_part_that_was_turned():
+    specks = [cube((1e-4,) * 3, (0.105, 0, k)) for k in (0.0, 0.05)]
+    parts = [cube((0.2, 0.2, 0.2)), turned(cube((0.2, 0.2, 0.2), (0.5, 0, 0)))]
+    repaired = repair(joined(*parts, *specks), CONFIG)
+    assert repaired.warnings == ("1 component turned outward", "2 specks dropped")
 
 
 def test_open_crumbs_are_dropped_and_their_area_is_named(box):

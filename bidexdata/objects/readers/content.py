@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bidexdata.objects.components import joined
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.prepared import TriangleMesh
@@ -47,7 +48,7 @@ def unreadable(reason: str) -> PrepareFailure:
     return PrepareFailure(Status.UNREADABLE, reason)
 
 
-def joined(parts: Iterable[Part], config: LoadConfig) -> TriangleMesh:
+def joined_parts(parts: Iterable[Part], config: LoadConfig) -> TriangleMesh:
     """All triangles in world coordinates, without merging any vertex.
 
     Mirrored parts are wound anew so that their faces keep pointing out.
@@ -62,25 +63,20 @@ def joined(parts: Iterable[Part], config: LoadConfig) -> TriangleMesh:
         found = sum(len(p.vertices) for p in parts)
         raise PrepareFailure(Status.NO_FACES, f"{found} vertices and no face")
     check_faces(sum(len(p.faces) for p in full), config)
-    vertices, faces, count = [], [], 0
-    for part in full:
-        if part.faces.min() < 0 or part.faces.max() >= len(part.vertices):
-            raise unreadable("a face names a vertex that does not exist")
-        points, own = _in_world(part)
-        vertices.append(points)
-        faces.append(own + count)
-        count += len(points)
-    return TriangleMesh(np.concatenate(vertices), np.concatenate(faces).astype(np.int32))
+    if any(p.faces.min() < 0 or p.faces.max() >= len(p.vertices) for p in full):
+        raise unreadable("a face names a vertex that does not exist")
+    return joined([_in_world(p) for p in full])
 
 
-def _in_world(part: Part) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _in_world(part: Part) -> TriangleMesh:
     if part.T_world_part is None:
-        return part.vertices, part.faces
+        return TriangleMesh(part.vertices, part.faces.astype(np.int32))
     # Only what faces use: many parts may share one long list of vertices.
     used, own = np.unique(part.faces, return_inverse=True)
     own = own.reshape(-1, 3)
     R, p = part.T_world_part[:3, :3], part.T_world_part[:3, 3]
-    return part.vertices[used] @ R.T + p, own[:, ::-1] if np.linalg.det(R) < 0 else own
+    own = (own[:, ::-1] if np.linalg.det(R) < 0 else own).astype(np.int32)
+    return TriangleMesh(part.vertices[used] @ R.T + p, own)
 
 
 def check_faces(count: int, config: LoadConfig) -> None:

@@ -23,7 +23,7 @@ from bidexdata.objects.readers.content import (
     Content,
     Part,
     check_faces,
-    joined,
+    joined_parts,
     unreadable,
 )
 from bidexdata.objects.readers.scene import Place, placed
@@ -73,7 +73,7 @@ def read_dae(path: Path, data: bytes, config: LoadConfig) -> Content:
     R, metres = _asset(root)
     skins = "it has a skeleton: prepared in the pose that is stored"
     warnings = (skins,) if any(_tag(e) == "skin" for e in root.iter()) else ()
-    return Content(joined(parts, config), R, metres, warnings)
+    return Content(joined_parts(parts, config), R, metres, warnings)
 
 
 def _root(data: bytes) -> Any:

@@ -25,7 +25,7 @@ from bidexdata.objects.readers.content import (
     Part,
     check_faces,
     check_instances,
-    joined,
+    joined_parts,
     unreadable,
 )
 from bidexdata.objects.readers.draco import DRACO, draco_triangles
@@ -68,7 +68,7 @@ def read_gltf(path: Path, data: bytes, config: LoadConfig) -> Content:
     check_faces(sum(len(p.faces) for m, _ in places for p in meshes[m]), config)
     parts = [p._replace(T_world_part=T) for m, T in places for p in meshes[m]]
     warnings = ("it has a skeleton: prepared in the pose that is stored",) * ("skins" in document)
-    return Content(joined(parts, config), R_WORLD_Y_UP, 1.0, warnings)
+    return Content(joined_parts(parts, config), R_WORLD_Y_UP, 1.0, warnings)
 
 
 class _File(NamedTuple):

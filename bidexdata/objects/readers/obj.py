@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.polygons import triangulated
-from bidexdata.objects.readers.content import Content, Part, check_faces, joined, unreadable
+from bidexdata.objects.readers.content import Content, Part, check_faces, joined_parts, unreadable
 from bidexdata.objects.readers.text import bad_numbers, numbers, plain_text, shown, whole_numbers
 
 
@@ -35,12 +35,16 @@ def read_obj(path: Path, data: bytes, config: LoadConfig) -> Content:
             polygon_lines.append(number)
             before.append(len(points))
     if not polygons:
-        return Content(joined([Part(np.zeros((len(points), 3)), _NONE)], config), np.eye(3), None)
+        return Content(
+            joined_parts([Part(np.zeros((len(points), 3)), _NONE)], config), np.eye(3), None
+        )
     check_faces(len(polygons), config)
     vertices = _vertices(points, point_lines)
     corners, counts = _corners(polygons, polygon_lines, len(vertices), np.array(before))
     return Content(
-        joined([Part(vertices, triangulated(vertices, corners, counts))], config), np.eye(3), None
+        joined_parts([Part(vertices, triangulated(vertices, corners, counts))], config),
+        np.eye(3),
+        None,
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.polygons import triangulated
-from bidexdata.objects.readers.content import Content, Part, check_faces, joined, unreadable
+from bidexdata.objects.readers.content import Content, Part, check_faces, joined_parts, unreadable
 from bidexdata.objects.readers.text import bad_numbers, plain_text, whole_numbers
 
 
@@ -51,7 +51,9 @@ def read_off(path: Path, data: bytes, config: LoadConfig) -> Content:
     sizes = np.array([len(i) for i in indices], np.int64)
     corners = np.concatenate([np.zeros(0, np.int64), *indices])
     return Content(
-        joined([Part(vertices, triangulated(vertices, corners, sizes))], config), np.eye(3), None
+        joined_parts([Part(vertices, triangulated(vertices, corners, sizes))], config),
+        np.eye(3),
+        None,
     )
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.polygons import triangulated
-from bidexdata.objects.readers.content import Content, Part, joined, unreadable
+from bidexdata.objects.readers.content import Content, Part, joined_parts, unreadable
 from bidexdata.objects.readers.text import numbers
 from bidexdata.record.status import Status
 
@@ -81,7 +81,7 @@ def read_ply(path: Path, data: bytes, config: LoadConfig) -> Content:
     parts = [Part(vertices, _faces(columns.get("face", {}), vertices))]
     if "tristrips" in columns:
         parts.append(Part(vertices, _strips(columns["tristrips"])))
-    return Content(joined(parts, config), np.eye(3), None)
+    return Content(joined_parts(parts, config), np.eye(3), None)
 
 
 def _header(data: bytes) -> tuple[list[_Element], str, bytes]:

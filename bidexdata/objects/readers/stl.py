@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.objects.config import LoadConfig
-from bidexdata.objects.readers.content import Content, Part, check_faces, joined, unreadable
+from bidexdata.objects.readers.content import Content, Part, check_faces, joined_parts, unreadable
 from bidexdata.objects.readers.text import bad_numbers, numbers, plain_text
 
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -36,7 +36,9 @@ def read_stl(path: Path, data: bytes, config: LoadConfig) -> Content:
             raise unreadable("the ASCII STL is cut off: no `endsolid`")
         vertices = _text_corners(text)
     faces = np.arange(len(vertices)).reshape(-1, 3)
-    return Content(joined([Part(vertices.astype(np.float64), faces)], config), np.eye(3), None)
+    return Content(
+        joined_parts([Part(vertices.astype(np.float64), faces)], config), np.eye(3), None
+    )
 
 
 def _text_corners(text: bytes) -> NDArray[np.float64]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.readers.content import Content, Part, check_faces, joined, unreadable
+from bidexdata.objects.readers.content import Content, Part, check_faces, joined_parts, unreadable
 from bidexdata.objects.readers.scene import Place, placed
 from bidexdata.record.status import Status
 
@@ -66,7 +66,7 @@ def read_3mf(path: Path, data: bytes, config: LoadConfig) -> Content:
     meshes: dict[Any, Part] = {s.node: used[s.node[0]].objects[s.node[1]].part() for s in shown}
     check_faces(sum(len(meshes[s.node].faces) for s in shown), config)
     parts = [meshes[s.node]._replace(T_world_part=s.T) for s in shown]
-    return Content(joined(parts, config), np.eye(3), _METRES.get(root.unit, 1e-3))
+    return Content(joined_parts(parts, config), np.eye(3), _METRES.get(root.unit, 1e-3))
 
 
 class _Object:
