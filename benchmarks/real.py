@@ -23,6 +23,7 @@ import numpy as np
 from benchmarks.rows import TaskRows, over_tasks, pool, task_rows
 from bidexdata import Run
 from bidexdata.record import GraspBatch
+from bidexdata.simulation.noslip import NoslipSteps
 from bidexdata.simulation.scene import SimScene
 from bidexdata.simulation.state import set_pose
 from bidexdata.validation import Execution, Protocol, load_protocol, validate_grasps
@@ -42,16 +43,15 @@ STEPS = 50
 PARTS = {
     "collision": "mj_collision",
     "constraint_rows": "mj_makeConstraint",
-    "noslip_projection": "mj_projectConstraint",
-    "solver_and_noslip": "mj_fwdConstraint",
+    "solver": "mj_fwdConstraint",
 }
-"""The engine's functions by what they do; what is left of a step is `other`."""
+"""The engine's functions by what they do; then come our noslip pass and, of the step, `other`."""
 BEFORE = {
     "mj_collision": ("mj_kinematics", "mj_comPos", "mj_tendon", "mj_makeM", "mj_factorM"),
     "mj_makeConstraint": (),
-    "mj_projectConstraint": (),
     "mj_fwdConstraint": (
-        *("mj_transmission", "mj_fwdVelocity", "mj_fwdActuation", "mj_fwdAcceleration"),
+        *("mj_projectConstraint", "mj_transmission"),
+        *("mj_fwdVelocity", "mj_fwdActuation", "mj_fwdAcceleration"),
     ),
 }
 """What a step calls in between, in its order."""
@@ -73,7 +73,7 @@ class Apart(NamedTuple):
     step: float
     """One step under the load."""
     parts: tuple[float, ...]
-    """Of it, in the order of `PARTS`."""
+    """Of it, in the order of `PARTS`, then of the noslip pass."""
 
 
 def missing() -> str:
@@ -109,7 +109,8 @@ def measure_run(path: Path, test: str, protocol: str = "paper-1") -> dict[str, A
     verdicts = sum(j.verdicts for j in judged)
     apart = [a for i in range(len(run.tasks)) for a in _take_apart(str(path), i, test, protocol)]
     step = sum(a.step for a in apart)
-    shares = {name: sum(a.parts[k] for a in apart) / step for k, name in enumerate(PARTS)}
+    names = [*PARTS, "noslip"]
+    shares = {name: sum(a.parts[k] for a in apart) / step for k, name in enumerate(names)}
     return {
         "objects": len(run.object_ids),
         "verdicts": verdicts,
@@ -181,7 +182,7 @@ def _judge_naively(batch: GraspBatch, rows: TaskRows, rules: Protocol, test: str
     loads = [(d,) for d in rules.directions] if test == "f" else [rules.directions]
     for directions in loads:
         one = replace(rules, directions=directions)
-        verdict = TESTS[test](scene, one, grasp_of(batch, 0), Execution(early_stop=False))
+        verdict = TESTS[test](scene, one, grasp_of(batch, 0), Execution(plain=True))
         if verdict.direction >= 0:
             return
 
@@ -191,16 +192,18 @@ def _time_steps(scene: SimScene, rules: Protocol, grasp: Grasp) -> tuple[float, 
     import mujoco
 
     model, data, copy = scene.model, scene.data, mujoco.MjData(scene.model)
+    noslip, sweeps = NoslipSteps(model, copy), model.opt.noslip_iterations
     at = (grasp.hand_pos[:, 0], grasp.hand_quat[:, 0], grasp.joints[:, 0])
     set_pose(scene, grasp.object_pos, grasp.object_quat, *at)
-    close_hands(scene, rules, grasp)
+    close_hands(scene, rules, grasp, Execution())
     set_load(scene, rules, np.array([0.0, 0.0, -1.0]), 1.0)
     kind = mujoco.mjtState.mjSTATE_INTEGRATION
     state = np.empty(mujoco.mj_stateSize(model, kind))
-    steps, parts = [], np.zeros(len(PARTS))
+    steps, parts = [], np.zeros(len(PARTS) + 1)
     for _ in range(STEPS):
         mujoco.mj_getState(model, data, state, kind)
         mujoco.mj_setState(model, copy, state, kind)
+        model.opt.noslip_iterations = 0
         for k, name in enumerate(PARTS.values()):
             for before in BEFORE[name]:
                 getattr(mujoco, before)(model, copy)
@@ -208,6 +211,10 @@ def _time_steps(scene: SimScene, rules: Protocol, grasp: Grasp) -> tuple[float, 
             getattr(mujoco, name)(model, copy)
             parts[k] += time.perf_counter() - start
         start = time.perf_counter()
-        mujoco.mj_step(model, data)
+        noslip.correct(sweeps)
+        parts[-1] += time.perf_counter() - start
+        model.opt.noslip_iterations = sweeps
+        start = time.perf_counter()
+        scene.step(1)
         steps.append(time.perf_counter() - start)
     return statistics.fmean(steps), tuple(parts / STEPS)

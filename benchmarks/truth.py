@@ -1,6 +1,6 @@
 """The validator's verdicts against plain simulation: `python -m benchmarks.truth RUN`.
 
-Plain: every load to its end, with all collisions and whole hulls, as `Execution(early_stop=False)`
+Plain: every load to its end, with all collisions and whole hulls, as `Execution(plain=True)`
 runs it. Of the rows with a grasp all audit rows are taken, and if too few of them fail, then the
 selected rows that fail under plain simulation, by grasp_id, until there are enough. Plain runs cost
 2 to 3 s of a core each, and few selected rows fail: a run of 1200 rows takes half an hour.
@@ -73,7 +73,7 @@ def _compare(path: str, number: int, test: str, protocol: str, which: str) -> li
     rules = load_protocol(protocol)
 
     def success(rows: GraspBatch, *, quick: bool) -> np.ndarray:
-        how = Execution(early_stop=quick)
+        how = Execution(plain=not quick)
         return validate_grasps(rows, solid, hands, rules, test, execution=how)["success"]
 
     quick, plain = success(batch, quick=True), success(batch, quick=False)

@@ -106,7 +106,7 @@ def _how(extras: Sequence[Extra]) -> stages.Execution:
     from bidexdata.validation import stages
 
     return stages.Execution(
-        early_stop="plain" not in extras,
+        plain="plain" in extras,
         load_margin="load_margin" in extras,
         analytic="analytic" in extras,
     )

@@ -26,6 +26,7 @@ from .assembly import (
     scene_spec,
 )
 from .engine_log import engine_warnings_logged
+from .noslip import NoslipSteps
 from .settings import SceneSettings
 
 if TYPE_CHECKING:
@@ -83,11 +84,27 @@ class SimScene:
     """Origin of the source file's coordinates in the object frame [m], (3,)."""
     object_mass: float
     """Nominal mass of the object [kg]: that of the solid, or the one that the settings name."""
+    noslip: NoslipSteps
+    """Steps the model with a noslip pass of ours."""
 
     @property
     def object_owner(self) -> int:
         """The number that stands for the object in `geom_owner`."""
         return len(self.hands)
+
+    def step(self, steps: int, *, plain: bool = False) -> None:
+        """Advance the state by a number of steps.
+
+        Args:
+            steps: How many.
+            plain: Leave all of a step to the engine, at twice the time.
+        """
+        if not plain and self.noslip.applies():
+            self.noslip.step(steps)
+            return
+        import mujoco
+
+        mujoco.mj_step(self.model, self.data, steps)
 
     def controls(self, index: int, joints: FloatArray) -> FloatArray:
         """Controls (..., U) of hand number `index` that command joint angles (..., J) [rad]."""
@@ -195,6 +212,7 @@ def _index(
         source_origin=np.zeros(3) if solid is None else solid.source_origin * size,
         object_mass=settings.mass
         or (0.0 if solid is None else solid.mass(size, settings.density_of(solid, size))),
+        noslip=NoslipSteps(model, data),
     )
 
 

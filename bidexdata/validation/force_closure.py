@@ -39,13 +39,13 @@ def force_closure(
     clear_load(scene)
     set_pose(scene, grasp.object_pos, grasp.object_quat, *at)
     wanted = reference(scene, protocol)
-    close_hands(scene, protocol, grasp, watch)
+    close_hands(scene, protocol, grasp, execution, watch)
     status, moved, turned = check(scene, protocol, wanted)
     if status in UNSTABLE or (protocol.check_closing and status is not Status.OK):
         return closing_failure(protocol, status, moved, turned)
     touched = touches_object(scene)
     closed = saved_state(scene)
-    grip = probe(scene, protocol, execution.rest) if execution.early_stop else Grip.LOOSE
+    grip = Grip.LOOSE if execution.plain else probe(scene, protocol, execution.rest)
 
     def loaded(multiple: float, watch: Watch | None = None) -> tuple[int, Phase]:
         return _all_directions(

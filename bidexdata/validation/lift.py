@@ -93,12 +93,12 @@ def _lifted(
     set_pose(scene, grasp.object_pos, grasp.object_quat, *at)
     start = reference(scene, protocol)
     set_load(scene, protocol, np.array(DOWN), multiple)
-    close_hands(scene, protocol, grasp, watch)
+    close_hands(scene, protocol, grasp, execution, watch)
     status, moved, turned = check(scene, protocol, start)
     if status in UNSTABLE:
         return _Lifted(TestStage.CLOSING, Phase(status, moved, turned, protocol.closing_time))
     thrown, touched = status is not Status.OK, touches_object(scene)
-    lift_hands(scene, protocol, grasp, watch)
+    lift_hands(scene, protocol, grasp, execution, watch)
     wanted = start.raised(protocol.lift.height)
     status, moved, turned = check(scene, protocol, wanted)
     rules = protocol.lift
@@ -110,7 +110,7 @@ def _lifted(
         ended = TestStage.NONE if status is Status.OK else TestStage.LIFT
     else:
         # What is out of place already need not be probed: nothing will end its hold early.
-        probed = execution.early_stop and status is Status.OK
+        probed = not execution.plain and status is Status.OK
         grip = probe(scene, protocol, execution.rest) if probed else Grip.LOOSE
         phase = hold(
             scene, protocol, protocol.lift_checks, wanted, execution, grip=grip, watch=watch

@@ -71,7 +71,7 @@ class RestRules:
     loose_time: float = 0.1
     """Duration of the second probe [s]."""
     loose_moved: float = 0.008
-    """A loose grasp moves more than this in both probes [m]; its loads run to their end."""
+    """A loose grasp moves more than this in both probes [m]."""
 
     firm: tuple[Slow, ...] = (
         Slow(speed=0.012, turn=0.06, times=1.0, share=0.6, at_most=0.5),
@@ -80,8 +80,14 @@ class RestRules:
     """Any of these ends a load on a firm grasp."""
     settled: tuple[Slow, ...] = (Slow(speed=0.003, turn=0.02, times=2.0, share=0.9),)
     """... on one that settles."""
-    fair: tuple[Slow, ...] = (Slow(speed=0.0007, turn=0.005, times=2.0, share=0.8),)
+    fair: tuple[Slow, ...] = (Slow(speed=0.0015, turn=0.01, times=2.0, share=0.8),)
     """... on any other that is not loose."""
+    loose: tuple[Slow, ...] = (Slow(speed=0.0005, turn=0.004, times=2.0, share=0.7),)
+    """... on a loose one."""
+
+    def of(self, grip: Grip) -> tuple[Slow, ...]:
+        """The rules for one kind of grip."""
+        return getattr(self, grip.value)
 
 
 class Grip(Enum):
@@ -112,9 +118,7 @@ def _with_friction(
     scene: SimScene, protocol: Protocol, rules: RestRules, share: float, duration: float
 ) -> tuple[float, float, float]:
     """Largest displacement [m] and rotation [rad], and the last speed [m/s]; infinite when lost."""
-    import mujoco
-
-    model, data, state = scene.model, scene.data, saved_state(scene)
+    model, state = scene.model, saved_state(scene)
     friction = model.geom_friction[:, 0].copy()
     start = reference(scene, protocol)
     steps = max(1, round(rules.every / model.opt.timestep))
@@ -122,7 +126,7 @@ def _with_friction(
     model.geom_friction[:, 0] *= share
     try:
         for _ in range(round(duration / rules.every)):
-            mujoco.mj_step(model, data, steps)
+            scene.step(steps)
             status, *way = check(scene, protocol, start)
             if status is not Status.OK:
                 return np.inf, np.inf, np.inf
@@ -155,8 +159,7 @@ def rests(
         left: Time until the end of the load [s].
     """
     linear, angular = object_speed(scene)
-    rows = {Grip.FIRM: rules.firm, Grip.SETTLED: rules.settled, Grip.FAIR: rules.fair}
-    for slow in rows.get(grip, ()):
+    for slow in rules.of(grip):
         ahead = slow.times * (left if slow.at_most is None else min(left, slow.at_most))
         if (
             linear < slow.speed

@@ -32,12 +32,13 @@ Watch = Callable[[str, SimScene], None]
 class Execution:
     """Choices of how to run a protocol that cost time or save it, and are no part of it.
 
-    An early stop ends a load when `rest` says that the object stays within the limits to its end;
-    `benchmarks/truth.py` compares its verdicts with plain runs.
+    Unless `plain`, a load ends when `rest` says that the object stays within the limits to its
+    end, and `simulation.noslip` does its part of a step; `benchmarks/truth.py` compares the verdicts
+    with plain ones.
     """
 
-    early_stop: bool = True
-    """Accept a load before its time is over."""
+    plain: bool = False
+    """Simulate every load to its end, and leave all of a step to the engine."""
     rest: RestRules = field(default_factory=RestRules)
     """When."""
     load_margin: bool = False
@@ -113,23 +114,31 @@ def lift_path(protocol: Protocol, grasp: Grasp) -> FloatArray:
 
 
 def close_hands(
-    scene: SimScene, protocol: Protocol, grasp: Grasp, watch: Watch | None = None
+    scene: SimScene,
+    protocol: Protocol,
+    grasp: Grasp,
+    execution: Execution,
+    watch: Watch | None = None,
 ) -> None:
     """Go from pre-grasp over grasp to squeeze from the scene's present state."""
     for pos, quat, ctrl in zip(*closing_path(scene, protocol, grasp), strict=True):
         scene.data.ctrl[:] = ctrl
         set_targets(scene, pos, quat)
-        if not _advance(scene, protocol, protocol.segment_steps, "closing", watch):
+        if not _advance(scene, protocol, protocol.segment_steps, execution, "closing", watch):
             return
 
 
 def lift_hands(
-    scene: SimScene, protocol: Protocol, grasp: Grasp, watch: Watch | None = None
+    scene: SimScene,
+    protocol: Protocol,
+    grasp: Grasp,
+    execution: Execution,
+    watch: Watch | None = None,
 ) -> None:
     """Raise the hands' targets from the squeeze; controls of the fingers stay."""
     for pos in lift_path(protocol, grasp):
         set_targets(scene, pos, grasp.hand_quat[:, 2])
-        if not _advance(scene, protocol, protocol.lift.steps, "lift", watch):
+        if not _advance(scene, protocol, protocol.lift.steps, execution, "lift", watch):
             return
 
 
@@ -154,12 +163,15 @@ def clear_load(scene: SimScene) -> None:
 
 
 def _advance(
-    scene: SimScene, protocol: Protocol, steps: int, phase: str, watch: Watch | None
+    scene: SimScene,
+    protocol: Protocol,
+    steps: int,
+    execution: Execution,
+    phase: str,
+    watch: Watch | None,
 ) -> bool:
     """Step; whether the simulation is still sane."""
-    import mujoco
-
-    mujoco.mj_step(scene.model, scene.data, steps)
+    scene.step(steps, plain=execution.plain)
     if watch is not None:
         watch(phase, scene)
     return instability(scene, protocol) is None
@@ -182,12 +194,12 @@ def hold(
         protocol: Interval of the checks, limits.
         checks: Number of checks.
         wanted: Where the object should be.
-        execution: Whether rest may end the phase early.
+        execution: Whether rest may end the phase early, and who computes a step.
         grip: What `rest.probe` said of the grasp.
         watch: Looks on.
     """
     timestep = scene.model.opt.timestep
-    rules, stops = execution.rest, execution.early_stop
+    rules, stops = execution.rest, not execution.plain
     look = max(1, round(rules.every / timestep))
     first = round(rules.start / timestep)
     per_check = protocol.steps_per_check
@@ -198,7 +210,7 @@ def hold(
         chunk = min(to_check, look - step % look) if stops else to_check
         if watch is not None:
             chunk = min(chunk, WATCH_STEPS)
-        sane = _advance(scene, protocol, chunk, "hold", watch)
+        sane = _advance(scene, protocol, chunk, execution, "hold", watch)
         step += chunk
         is_check = step % per_check == 0
         may_stop = stops and step % look == 0 and step >= first

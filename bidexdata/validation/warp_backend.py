@@ -325,7 +325,7 @@ class _Judge:
         last = round((self.lift.hold if self.lift else protocol.hold) / protocol.check_every)
         time = checks.astype(np.float64) * protocol.check_every
         done = (status != Status.OK) | (checks >= last)
-        if self.execution.early_stop:
+        if not self.execution.plain:
             left = last * protocol.check_every - time
             done |= rests(self.scene, protocol, qvel, moved, turned, left)
         held.status[task[done]] = status[done]

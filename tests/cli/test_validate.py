@@ -141,9 +141,9 @@ def test_loads_held_to_their_end_say_so_and_agree(library):
     (task,) = opened.tasks
     path = shard_path(opened.stage_folder("validate", "brief-2", "f"), task.task_id)
     quick = next(iter(opened.batches("brief-2", "f"))).success
-    assert read_mark(path).notes["execution"]["early_stop"]
+    assert not read_mark(path).notes["execution"]["plain"]
     assert run([*validate, "--plain"]) == 0
-    assert not read_mark(path).notes["execution"]["early_stop"]
+    assert read_mark(path).notes["execution"]["plain"]
     before = path.read_bytes()
     assert run(validate) == 0  # plain verdicts are not replaced by quick ones
     assert path.read_bytes() == before

@@ -22,7 +22,7 @@ from bidexdata.validation.stages import clear_load, closing_path, hold, set_load
 from bidexdata.validation.validate import grasp_of
 
 PAPER = load_protocol("paper-1")
-PLAIN = Execution(early_stop=False)
+PLAIN = Execution(plain=True)
 BOX = box_solid()
 
 

@@ -118,7 +118,7 @@ def test_a_lift_judged_at_its_end_runs_no_hold(hands):
 
 def test_early_stops_change_no_lift(hands):
     batch = on_table(hands)
-    plain = verdict(hands, batch, execution=Execution(early_stop=False))
+    plain = verdict(hands, batch, execution=Execution(plain=True))
     early = verdict(hands, batch)
     for name in ("success", "verdict_status", "failed_stage"):
         np.testing.assert_array_equal(early[name], plain[name], err_msg=name)
