@@ -119,6 +119,16 @@ class ConvexConfig:
     """Samples for the concavity."""
     cpu_seconds: int = 60
     """CPU seconds of the first try; it is ended then and the cheaper second try runs."""
+    finer_above: float = 1.15
+    """Union of the pieces over the mesh's volume above which a finer search follows [-]."""
+    finer_factor: float = 0.6
+    """What it multiplies the threshold with, again and again [-]. Measured, union to mesh volume
+    before and after: a chair 1.36 / 1.15, a broom 1.46 / 1.11, a tube 1.44 / 1.17, a bin 1.21 / 1.03,
+    for 1 to 6 CPU s."""
+    finest_threshold: float = 0.014
+    """It does not go below this."""
+    finer_cpu_seconds: int = 20
+    """CPU seconds of each finer search; past them the pieces stay as they are."""
     second_threshold: float = 0.15
     """Concavity of the second try."""
     second_max_pieces: int = 16
@@ -134,6 +144,9 @@ class ConvexConfig:
 
     def __post_init__(self):
         _positive(self, "threshold", "max_pieces", "cpu_seconds", "second_cpu_seconds")
+        _positive(self, "finer_above", "finer_factor", "finest_threshold", "finer_cpu_seconds")
+        if self.finer_factor >= 1:
+            raise BadConfig(f"convex.finer_factor must be below 1, not {self.finer_factor}")
         if self.max_vertices < 8:
             raise BadConfig(f"convex.max_vertices must be at least 8, not {self.max_vertices}")
 

@@ -1,8 +1,8 @@
 """Convex pieces of a closed solid.
 
 A solid that fills its hull is one piece. Everything else goes to CoACD under a limit of CPU
-seconds, then to a cheaper second try, and at last it becomes its hull, which the method's name
-says. Whether two runs agree can depend on the CPU limit only, and that is recorded.
+seconds, more finely where its pieces bridge gaps; else to a cheaper second try, and at last it
+becomes its hull, which the method's name says. Whether two runs agree can depend on the CPU limit only, and that is recorded.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.closed import as_manifold, as_mesh, convex_hull, thinnest
+from bidexdata.objects.closed import as_manifold, as_mesh, convex_hull, thinnest, union
 from bidexdata.objects.coacd_process import run_coacd
 from bidexdata.objects.config import ConvexConfig
 from bidexdata.objects.cuts import overlap_cuts
@@ -34,12 +34,16 @@ _BISECTIONS = 10
 """Steps of that search: the tolerance to within 1 %."""
 
 
+FINER = "coacd_finer"
+"""Method of pieces that a lower threshold than the first made."""
+
+
 class Decomposition(NamedTuple):
     """Convex pieces, how they were found, and warnings for the report."""
 
     pieces: tuple[TriangleMesh, ...]
     method: str
-    """`convex`, `coacd`, `coacd_turned`, `coacd_second` or `hull` (the last answer)."""
+    """`convex`, `coacd`, `coacd_turned`, `coacd_finer`, `coacd_second` or at last `hull`."""
     warnings: tuple[str, ...]
 
 
@@ -68,7 +72,10 @@ def decompose(mesh: TriangleMesh, config: ConvexConfig) -> Decomposition:
         found = run_coacd(simple, attempt.options, attempt.cpu_seconds)
         pieces = _solid_pieces(found.pieces, mesh, config)
         if pieces:
-            return Decomposition(pieces, attempt.method, tuple(warnings))
+            method = attempt.method
+            if not out_of_time:
+                pieces, method = _finer(pieces, simple, mesh, attempt, config, warnings)
+            return Decomposition(pieces, method, tuple(warnings))
         out_of_time = out_of_time or found.out_of_time
         warnings.append(f"{attempt.method} {found.reason or 'gave no piece with a volume'}")
     warnings.append("replaced by its hull")
@@ -112,6 +119,41 @@ def _attempts(config: ConvexConfig, thin: bool) -> tuple[_Attempt, ...]:
         _Attempt("coacd_turned", {**first, "pca": True}, config.cpu_seconds, after_death=True),
         _Attempt("coacd_second", cheaper, config.second_cpu_seconds),
     )
+
+
+def _finer(
+    pieces: tuple[TriangleMesh, ...],
+    simple: TriangleMesh,
+    mesh: TriangleMesh,
+    attempt: _Attempt,
+    config: ConvexConfig,
+    warnings: list[str],
+) -> tuple[tuple[TriangleMesh, ...], str]:
+    """Search on with a lower threshold while pieces bridge gaps and more of them are allowed.
+
+    Returns:
+        The pieces of least volume in union, and the method that found them.
+    """
+    best, method, volume = pieces, attempt.method, _volume(pieces)
+    most = config.finer_above * abs(mass_properties(mesh).volume)
+    latest, threshold, seconds = pieces, attempt.options["threshold"], config.finer_cpu_seconds
+    while volume > most and len(latest) < config.max_pieces:
+        threshold *= config.finer_factor
+        if threshold < config.finest_threshold:
+            break
+        found = run_coacd(simple, {**attempt.options, "threshold": threshold}, seconds)
+        latest = _solid_pieces(found.pieces, mesh, config)
+        if not latest:
+            warnings.append(f"{FINER} {found.reason or 'gave no piece with a volume'}")
+            break
+        if _volume(latest) < volume:
+            best, method, volume = latest, FINER, _volume(latest)
+    return best, method
+
+
+def _volume(pieces: tuple[TriangleMesh, ...]) -> float:
+    """Of the union of convex pieces."""
+    return union([convex_hull(piece.vertices) for piece in pieces]).volume()
 
 
 def _simplified(solid: Manifold, config: ConvexConfig) -> TriangleMesh:

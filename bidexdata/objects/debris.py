@@ -19,7 +19,9 @@ _TOGETHER = 0.05
 """Share of all area that debris may have; more of it is part of the object."""
 
 
-def without_debris(loaded: LoadedMesh, config: RepairConfig) -> tuple[LoadedMesh, int]:
+def without_debris(
+    loaded: LoadedMesh, config: RepairConfig, bounds: LoadConfig
+) -> tuple[LoadedMesh, int]:
     """Drop debris and scale the rest to unit diagonal; also the number of components dropped.
 
     Debris is a component with little area that is smaller than `config.debris`, and farther than
@@ -42,7 +44,7 @@ def without_debris(loaded: LoadedMesh, config: RepairConfig) -> tuple[LoadedMesh
     if not len(dropped) or area[dropped].sum() > _TOGETHER * area.sum():
         return loaded, 0
     gone = set(dropped.tolist())
-    kept = unit_mesh(joined([p for k, p in enumerate(parts) if k not in gone]), LoadConfig())
+    kept = unit_mesh(joined([p for k, p in enumerate(parts) if k not in gone]), bounds)
     return (
         loaded._replace(
             mesh=kept.mesh,

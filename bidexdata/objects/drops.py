@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bidexdata.engine_log import engine_warnings_logged
 from bidexdata.frames import matrix_from_quat, quat_canonical, quat_from_rotation_vector
 from bidexdata.objects.prepared import TriangleMesh
 
@@ -41,8 +42,6 @@ class Drops(NamedTuple):
     """Direction of gravity in the object frame at the end, (N, 3)."""
     still: NDArray[np.bool_]
     """Whether it lies still on a facet, (N,)."""
-    steps: int
-    """Simulated steps, all bodies together."""
 
 
 class Body(NamedTuple):
@@ -82,20 +81,20 @@ def drop(
     quats = np.array([facing_down(d) for d in downs]).reshape(-1, 4)
     state[:, 3] = np.max(downs @ body.hull.vertices.T, axis=1) + height
     state[:, 4:8] = quats
-    moving, steps = np.arange(len(downs)), 0
+    moving = np.arange(len(downs))
     for part in range(int(np.ceil(seconds / _TIME_STEP / _PART))):
         if part * _PART * _TIME_STEP >= _FREE:
             model.dof_damping[3:] = np.trace(body.inertia) / 3 / body.volume / _SLOWING
-        path, _ = rollout.rollout(model, data, state[moving], nstep=_PART)
+        with engine_warnings_logged():
+            path, _ = rollout.rollout(model, data, state[moving], nstep=_PART)
         state[moving] = path[:, -1]
-        steps += _PART * len(moving)
         still = _lies(state[moving], normals, angle)
         moving = moving[~still]
         if len(moving) == 0:
             break
     still = np.ones(len(downs), bool)
     still[moving] = False
-    return Drops(_downs(state), still, steps)
+    return Drops(_downs(state), still)
 
 
 def spread_directions(count: int, rng: np.random.Generator) -> NDArray[np.float64]:

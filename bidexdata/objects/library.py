@@ -44,7 +44,7 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
     (
         "piece_method",
         "string",
-        "convex, coacd, coacd_turned, coacd_second, hull or given (by the source)",
+        "convex, coacd, coacd_turned, coacd_finer, coacd_second, hull or given (by the source)",
     ),
     ("pieces", "int64", "number of convex pieces"),
     ("volume", "float64", "volume of the solid at unit diagonal"),

@@ -63,9 +63,9 @@ def prepare_object(
     if given is not None and not doubts:
         return _of_given(item, data, given, config)
     whole = _loaded(source, item, data, given, config)
-    loaded, dropped = without_debris(whole, config.repair)
+    loaded, dropped = without_debris(whole, config.repair, config.load)
     if dropped:
-        doubts += (f"{counted(dropped, 'speck')} dropped that lie apart",)
+        doubts += (f"{counted(dropped, 'small part')} dropped, apart from the rest",)
     repaired = repair(loaded.mesh, config.repair)
     shape = _shape(repaired.mesh, config)
     split = decompose(repaired.mesh, config.convex)
@@ -88,7 +88,7 @@ def check_selected(item: SourceItem, config: PrepareConfig) -> None:
     if given is not None and not doubts:
         _shape(_union(unit_solid(given.pieces)), config)
         return
-    loaded, _ = without_debris(_loaded(item, item, data, given, config), config.repair)
+    loaded, _ = without_debris(_loaded(item, item, data, given, config), config.repair, config.load)
     _shape(repair(loaded.mesh, config.repair).mesh, config)
 
 

@@ -75,7 +75,7 @@ def united(parts: Sequence[Manifold], config: RepairConfig) -> Closed | None:
         )
         warnings.append(text)
     if dropped:
-        steps.append("drop_debris")
+        steps.append("drop_specks")
         warnings.append(f"{counted(dropped, 'speck')} dropped")
     if len(kept) > 1:
         steps.append("unite")

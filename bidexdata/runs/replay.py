@@ -94,7 +94,7 @@ def replay_grasp(
         BadConfig: The video's ending is another.
         MissingExtra: The package that writes videos is not installed.
     """
-    from bidexdata.simulation.engine_log import engine_warnings_logged
+    from bidexdata.engine_log import engine_warnings_logged
     from bidexdata.validation.protocols import require_test
     from bidexdata.validation.stages import Execution
     from bidexdata.validation.validate import TESTS, grasp_of, scene_of_rows, statuses_before

@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bidexdata.engine_log import engine_warnings_logged
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import Solid
 
-from .engine_log import engine_warnings_logged
 from .scene import SimScene, build_scene
 from .state import set_pose
 

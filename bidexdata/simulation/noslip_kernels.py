@@ -14,9 +14,14 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
+# Newton's method on the multiplier: at most so many steps (3 or 4 are usual), to this share of the
+# normal force.
 NEWTON_STEPS = wp.constant(20)
 NEWTON_TOLERANCE = wp.constant(wp.float64(1.0e-12))
+# A 3x3 matrix counts as singular when its determinant is below this share of its diagonal's product.
 SINGULAR = wp.constant(wp.float64(1.0e-14))
+# As in the engine: a normal force [N] below TINY has no friction, and a block that would raise the
+# cost by more than COST_TOLERANCE (rounding, a singular block) keeps its forces.
 TINY = wp.constant(wp.float64(1.0e-15))
 COST_TOLERANCE = wp.constant(wp.float64(1.0e-10))
 

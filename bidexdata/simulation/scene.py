@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from bidexdata.engine_log import engine_warnings_logged
 from bidexdata.errors import NotUsable
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import Solid
@@ -25,7 +26,6 @@ from .assembly import (
     mocap_name,
     scene_spec,
 )
-from .engine_log import engine_warnings_logged
 from .noslip import NoslipSteps
 from .settings import SceneSettings
 
@@ -97,7 +97,7 @@ class SimScene:
 
         Args:
             steps: How many.
-            plain: Leave all of a step to the engine, at twice the time.
+            plain: Leave all of a step to the engine, at about twice the time.
         """
         if not plain and self.noslip.applies():
             self.noslip.step(steps)

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from bidexdata.engine_log import engine_warnings_logged
 from bidexdata.errors import NotUsable
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import Solid
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.batch import empty_columns, in_metres
 from bidexdata.record.fields import OF_TEST, ON_TABLE, columns_written_by
-from bidexdata.simulation.engine_log import engine_warnings_logged
 from bidexdata.simulation.scene import SceneNotBuilt, SimScene, build_scene
 
 from .analytic import analytic_metrics

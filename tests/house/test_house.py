@@ -13,11 +13,11 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "bidexdata"
 
 # cli -> viewer -> runs -> loaders, formats -> synthesis | validation -> arms -> pictures
-# -> simulation -> objects, hands -> wrench, record -> frames, errors, config, devices, kinds,
-# wording.
+# -> simulation -> objects, hands -> wrench, record -> frames, errors, config, devices, engine_log,
+# kinds, wording.
 # Rooms on one floor do not import each other, but for the pairs in SAME_FLOOR.
 FLOORS = [
-    {"frames", "errors", "config", "devices", "kinds", "wording"},
+    {"frames", "errors", "config", "devices", "engine_log", "kinds", "wording"},
     {"wrench", "record"},
     {"objects", "hands"},
     {"simulation"},

@@ -125,6 +125,34 @@ def test_every_family_is_closed_and_wound_outward():
             assert as_manifold(shape_mesh(f"{family}/{number}")) is not None, family
 
 
+def half_tube() -> TriangleMesh:
+    """Half a pipe of thin wall along z, unit diagonal: few hulls of it bridge the hollow."""
+    turn = np.linspace(0, np.pi, 25)
+    outer, inner = (np.column_stack([r * np.cos(turn), r * np.sin(turn)]) for r in (0.25, 0.22))
+    outline = np.concatenate([outer, inner[::-1]])
+    tube = manifold3d.Manifold.extrude(manifold3d.CrossSection([outline]), 0.7)
+    mesh = as_mesh(tube)
+    size = np.linalg.norm(np.ptp(mesh.vertices, axis=0))
+    return TriangleMesh(mesh.vertices / size, mesh.faces)
+
+
+def test_pieces_that_bridge_a_hollow_are_searched_more_finely():
+    mesh = half_tube()
+    coarse = replace(ConvexConfig(), threshold=0.2, thin_threshold=0.2)
+    ratios, methods = [], []
+    for config in (replace(coarse, finer_above=100.0), coarse, replace(coarse, max_pieces=2)):
+        found = decompose(mesh, config)
+        whole = union([m for m in map(as_manifold, found.pieces) if m is not None])
+        ratios.append(whole.volume() / mass_properties(mesh).volume)
+        methods.append(found.method)
+        assert len(found.pieces) <= config.max_pieces
+    assert methods[0] == "coacd"
+    assert methods[1] == "coacd_finer"
+    assert ratios[0] > 1.3
+    assert ratios[1] < 1.2
+    assert ratios[2] >= ratios[1]  # no more pieces than are allowed
+
+
 def test_a_search_that_runs_out_of_cpu_time_ends_in_the_named_hull():
     # A fine ring under a limit that no search keeps: both tries are ended by the system.
     turn = np.arange(96) * 2 * np.pi / 96

@@ -42,6 +42,7 @@ def squeezed(hands, settings=SETTINGS) -> SimScene:
 def forces_of_both(scene, iterations=2):
     """Joint-space constraint forces of the engine's pass and of ours from one state."""
     model, data = scene.model, scene.data
+    assert scene.noslip.applies()
     state = saved_state(scene)
     found = []
     for ours in (False, True):
@@ -50,7 +51,7 @@ def forces_of_both(scene, iterations=2):
         mujoco.mj_forward(model, data)
         plain = data.qfrc_constraint.copy()
         if ours:
-            scene.noslip.correct(iterations)
+            scene.noslip.correct()
             assert np.abs(data.qfrc_constraint - plain).max() > 1e-9 * np.abs(plain).max()
         found.append(data.qfrc_constraint.copy())
     model.opt.noslip_iterations = iterations
