@@ -1,7 +1,6 @@
 """The validator's verdicts against plain simulation: `python -m benchmarks.truth RUN`.
 
-Plain: every load to its end, with all collisions and whole hulls, as `Execution(plain=True)`
-runs it. Of the rows with a grasp all audit rows are taken, and if too few of them fail, then the
+Plain: every load to its end and all of a step by the engine, as `Execution(plain=True)` runs it. Of the rows with a grasp all audit rows are taken, and if too few of them fail, then the
 selected rows that fail under plain simulation, by grasp_id, until there are enough. Plain runs cost
 2 to 3 s of a core each, and few selected rows fail: a run of 1200 rows takes half an hour.
 """

@@ -140,7 +140,3 @@ def _complain(sentence: str, code: int, arguments: Sequence[str]) -> int:
         traceback.print_exc()
     print(f"error: {sentence}", file=sys.stderr)
     return code
-
-
-if __name__ == "__main__":
-    main()

@@ -23,7 +23,8 @@ def prepare(
     ],
     out: Annotated[Path, typer.Option(metavar="LIBRARY", help="Folder of the library.")],
     limit: Annotated[
-        int | None, typer.Option(min=1, help="Only the first N inputs in byte order of the path.")
+        int | None,
+        typer.Option(min=1, help="Only the first N inputs, in the order of the sources."),
     ] = None,
     dry_run: Annotated[
         bool,

@@ -47,7 +47,9 @@ def validate(
     ] = False,
     plain: Annotated[
         bool,
-        typer.Option("--plain", help="Hold every load to its end (several times slower)."),
+        typer.Option(
+            "--plain", help="Hold every load to its end, all by the engine (several times slower)."
+        ),
     ] = False,
     replay: Annotated[
         str | None,

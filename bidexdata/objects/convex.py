@@ -132,12 +132,12 @@ def _finer(
     """Search on with a lower threshold while pieces bridge gaps and more of them are allowed.
 
     Returns:
-        The pieces of least volume in union, and the method that found them.
+        The pieces whose union is nearest to the mesh in volume, and the method that found them.
     """
-    best, method, volume = pieces, attempt.method, _volume(pieces)
-    most = config.finer_above * abs(mass_properties(mesh).volume)
+    whole = abs(mass_properties(mesh).volume)
+    best, method, ratio = pieces, attempt.method, _volume(pieces) / whole
     latest, threshold, seconds = pieces, attempt.options["threshold"], config.finer_cpu_seconds
-    while volume > most and len(latest) < config.max_pieces:
+    while ratio > config.finer_above and len(latest) < config.max_pieces:
         threshold *= config.finer_factor
         if threshold < config.finest_threshold:
             break
@@ -146,8 +146,9 @@ def _finer(
         if not latest:
             warnings.append(f"{FINER} {found.reason or 'gave no piece with a volume'}")
             break
-        if _volume(latest) < volume:
-            best, method, volume = latest, FINER, _volume(latest)
+        now = _volume(latest) / whole
+        if abs(now - 1) < abs(ratio - 1):
+            best, method, ratio = latest, FINER, now
     return best, method
 
 

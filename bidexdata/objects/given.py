@@ -21,6 +21,7 @@ from bidexdata.objects.loading import file_mesh, unit_mesh
 from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.readers.inside import regular_bytes
+from bidexdata.objects.readers.text import plain_text
 from bidexdata.objects.sources.item import SourceItem
 from bidexdata.record.status import Status
 
@@ -79,7 +80,7 @@ def obj_groups(path: Path, config: LoadConfig) -> list[TriangleMesh]:
     Raises:
         PrepareFailure: The file cannot be read or is no mesh.
     """
-    text = regular_bytes(path, config.max_bytes).decode("utf-8", errors="replace")
+    text = plain_text(regular_bytes(path, config.max_bytes)).decode("utf-8", errors="replace")
     try:
         vertices, groups = _grouped(text)
     except (ValueError, OverflowError) as err:
@@ -95,13 +96,13 @@ def _grouped(text: str) -> tuple[NDArray[np.float64], list[list[tuple[int, int, 
     vertices: list[list[float]] = []
     groups: list[list[tuple[int, int, int]]] = [[]]
     for line in text.splitlines():
-        kind, _, rest = line.strip().partition(" ")
+        kind, *rest = line.partition("#")[0].split() or [""]
         if kind == "v":
-            vertices.append([float(x) for x in rest.split()[:3]])
+            vertices.append([float(x) for x in rest[:3]])
         elif kind in ("o", "g"):
             groups.append([])
         elif kind == "f":
-            corner = [int(c.split("/")[0]) for c in rest.split()]
+            corner = [int(c.split("/")[0]) for c in rest]
             if 0 in corner:
                 raise ValueError("a face has the index 0; OBJ counts from 1")
             corner = [c - 1 if c > 0 else len(vertices) + c for c in corner]

@@ -185,7 +185,7 @@ def _of_given(
         "warnings": list(given.warnings),
     }
     provenance |= _shape(union, config)
-    closed = as_manifold(shown)
+    closed = as_manifold(shown) if given.shown else None
     if closed is not None and closed.volume() > 0:
         provenance["volume_ratio"] = solid.volume * solid.diagonal**3 / closed.volume()
     return assembled(object_id_of(item, data), solid, shown, provenance, config)

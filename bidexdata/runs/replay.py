@@ -14,6 +14,7 @@ from bidexdata.record import GraspBatch, Status
 from bidexdata.record.batch import in_metres
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.run import Run
+from bidexdata.runs.shards import read_mark, shard_path
 
 if TYPE_CHECKING:
     from bidexdata.pictures.simulated import SimulatedPose
@@ -79,7 +80,7 @@ def replay_grasp(
     *,
     quiet: bool = False,
 ) -> Replay:
-    """Test one grasp of a run again and look on.
+    """Test one grasp of a run again, as its stored verdict was made, and look on.
 
     Args:
         run: The run.
@@ -103,7 +104,7 @@ def replay_grasp(
     path = None if video is None else Path(video)
     if path is not None:
         _check_video(path)
-    batch, stored = _row(run, grasp_id, protocol.name, test)
+    batch, stored, plain = _row(run, grasp_id, protocol.name, test)
     hands, solid = run.hands(), run.load_solid(str(batch["object_id"][0]))
     before = Status(int(statuses_before(batch, hands)[0]))
     if before is not Status.OK:
@@ -112,7 +113,8 @@ def replay_grasp(
     moments: list[Moment] = []
     frames = 0
     with engine_warnings_logged():
-        verdict = TESTS[test](scene, protocol, grasp_of(batch, 0), Execution(), _keep(moments))
+        grasp = grasp_of(batch, 0)
+        verdict = TESTS[test](scene, protocol, grasp, Execution(plain=plain), _keep(moments))
     if path is not None:
         if not moments:
             raise NotUsable(f"grasp {grasp_id} was not simulated: {verdict.status.sentence}")
@@ -128,7 +130,8 @@ def _check_video(path: Path) -> None:
     require_encoder()
 
 
-def _row(run: Run, grasp_id: str, protocol: str, test: str) -> tuple[GraspBatch, str | None]:
+def _row(run: Run, grasp_id: str, protocol: str, test: str) -> tuple[GraspBatch, str | None, bool]:
+    """The row, the label of its stored verdict, and whether that is of a plain simulation."""
     done, judged = run.done(), run.done(protocol, test)
     for task in run.tasks:
         if task.task_id not in done:
@@ -137,13 +140,15 @@ def _row(run: Run, grasp_id: str, protocol: str, test: str) -> tuple[GraspBatch,
         rows = np.flatnonzero(batch["grasp_id"] == grasp_id)
         if len(rows) == 0:
             continue
-        stored = None
+        stored, plain = None, False
         if task.task_id in judged:
+            path = shard_path(run.stage_folder("validate", protocol, test), task.task_id)
+            plain = bool(read_mark(path).notes.get("execution", {}).get("plain", False))
             verdicts = run.task_verdicts(task, batch, protocol, test)
             stored = Status(int(verdicts["verdict_status"][rows[0]])).label
         mask = np.zeros(len(batch), bool)
         mask[rows[0]] = True
-        return batch.select(mask), stored
+        return batch.select(mask), stored, plain
     raise NotUsable(f"{run.path} has no grasp {grasp_id}; `bidexdata table` lists its grasps")
 
 

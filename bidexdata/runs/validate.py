@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from bidexdata.validation.protocols import Protocol
 
 Extra = Literal["load_margin", "analytic", "plain"]
-"""What costs extra and is done when asked for: two columns, and loads that are never ended early."""
+"""What costs extra and is done when asked for: further columns, and plain simulation."""
 
 
 def validate_run(
@@ -234,6 +234,10 @@ def _validate_task(
     verdicts = verdict_batch(batch.header, batch["grasp_id"], columns)
     path = shard_path(run.stage_folder("validate", protocol.name, test), task.task_id)
     notes = {"extras": list(extras), "execution": to_plain(how)}
+    if protocol.backend != "mujoco":  # its rule is another
+        from bidexdata.validation.warp_checks import REST
+
+        notes["execution"]["rest"] = to_plain(REST)
     mark = verdict_fingerprint(run, protocol, test)
     write_shard(path, verdicts.to_arrow(), mark, device=device, notes=notes)
     labels = [Status(int(s)).label for s in columns["verdict_status"]]

@@ -48,8 +48,10 @@ def force_closure(
     grip = Grip.LOOSE if execution.plain else probe(scene, protocol, execution.rest)
 
     def loaded(multiple: float, watch: Watch | None = None) -> tuple[int, Phase]:
+        # What the probe said holds for the protocol's own load; others end by the strictest rule.
+        how = grip if multiple <= 1.0 else Grip.LOOSE
         return _all_directions(
-            scene, protocol, grasp, closed, wanted, execution, grip, multiple, watch
+            scene, protocol, grasp, closed, wanted, execution, how, multiple, watch
         )
 
     direction, phase = loaded(1.0, watch)

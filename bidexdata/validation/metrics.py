@@ -69,15 +69,29 @@ def grasp_metrics(distances: Distances, rules: MetricRules, hands: Sequence[Hand
     if rules.table_is_hand:
         deepest = min(deepest, distances.object_table)
         among = min(among, distances.table)
-    near = [np.abs(b) if not rules.deep_counts else b for b in distances.bodies]
-    near = [b[_counted(rules, hand)] for b, hand in zip(near, hands, strict=True)]
+    touching = _touching(distances, rules)
+    counted = [t[_counted(rules, hand)] for t, hand in zip(touching, hands, strict=True)]
     return Metrics(
         pd=-deepest or 0.0,
         spd=-among or 0.0,
         cdc=float(np.ptp(fingers)) if has_fingers else np.nan,
-        contact_number=int(sum((b < rules.contact_within).sum() for b in near)),
+        contact_number=int(sum(t.sum() for t in counted)),
         contact_distance=float(np.maximum(fingers, 0.0).mean()) if has_fingers else np.nan,
     )
+
+
+def _touching(distances: Distances, rules: MetricRules) -> list[NDArray[np.bool_]]:
+    """Whether each body is in contact, per hand (B,).
+
+    Where depth does not count, a body that is deep in one piece may still touch another.
+    """
+    if rules.deep_counts:
+        return [b < rules.contact_within for b in distances.bodies]
+    contacts, found = distances.contacts, [np.zeros(len(b), bool) for b in distances.bodies]
+    close = np.abs(contacts.dist) < rules.contact_within
+    for hand, body in zip(contacts.hand[close], contacts.body[close], strict=True):
+        found[hand][body] = True
+    return found
 
 
 def _counted(rules: MetricRules, hand: Hand) -> NDArray[np.bool_]:

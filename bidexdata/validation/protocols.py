@@ -1,7 +1,8 @@
 """Named, versioned validation protocols: every setting that can change a verdict or a metric.
 
-A protocol is data. Any other setting is another name; execution choices that change no verdict
-(early stops) are `stages.Execution` and no part of it. The named ones are in `named.py`.
+A protocol is data. Any other setting is another name; choices of execution that are not meant to
+change a verdict (early ends) are `stages.Execution` and no part of it: `benchmarks/truth.py` counts
+how often they do. The named ones are in `named.py`.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ class Execution:
     plain: bool = False
     """Simulate every load to its end, and leave all of a step to the engine."""
     rest: RestRules = field(default_factory=RestRules)
-    """When."""
+    """When a load may end before its time."""
     load_margin: bool = False
     """Measure the load margin too; it costs about ten times the verdict."""
     analytic: bool = False

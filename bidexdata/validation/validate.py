@@ -62,7 +62,7 @@ def validate_grasps(
         hands: The hands in the order of the header's.
         protocol: The settings.
         test: Which of the protocol's tests.
-        execution: Early stops; on when omitted.
+        execution: Early ends, whose noslip pass, and what is measured besides; on when omitted.
         backend: The engine that judges: `mujoco`, or `mujoco_warp` for GPUs.
         device: Warp device of `mujoco_warp`, such as `cuda:0`; its `cpu` is for trying it out.
 

@@ -73,7 +73,7 @@ def warp_verdicts(
         grasps: In any number.
         test: f or l.
         device: Warp device.
-        execution: Early stops; on when omitted.
+        execution: Early ends, and what is measured besides; on when omitted.
         most_worlds: Bound of the worlds that step together; changes no verdict.
 
     Returns:

@@ -10,19 +10,14 @@ from bidexdata.record import Status
 from bidexdata.simulation.scene import SimScene
 
 from .protocols import Protocol
+from .rest import Slow
 from .warp_worlds import ContactOverflow, FloatArray, Worlds
 
 Flags = NDArray[np.bool_]
 Statuses = NDArray[np.int8]
 
-REST_SPEED = 0.003
-"""A load may end when the object moves slower than this [m/s] ..."""
-REST_TURN = 0.02
-"""... and turns slower than this [rad/s] ..."""
-REST_FACTOR = 2.0
-"""... and could keep this multiple of both to the end of the load ..."""
-REST_SHARE = 0.8
-"""... within this share of both limits [-]."""
+REST = Slow(speed=0.003, turn=0.02, times=2.0, share=0.8)
+"""A load may end for objects that are so slow."""
 
 
 def advance(scene: SimScene, protocol: Protocol, worlds: Worlds, steps: int) -> Statuses:
@@ -111,7 +106,7 @@ def rests(
 ) -> Flags:
     """Whether objects are so slow that they stay within the limits to the end, (N,).
 
-    Friction cannot be halved for some worlds only, so there is no probe as in `rest.is_firm`.
+    Friction cannot be halved for some worlds only, so there is no probe as in `rest.probe`.
 
     Args:
         scene: Where everything lies in a state.
@@ -125,8 +120,8 @@ def rests(
     linear = np.linalg.norm(qvel[:, at : at + 3], axis=1)
     angular = np.linalg.norm(qvel[:, at + 3 : at + 6], axis=1)
     return (
-        (linear < REST_SPEED)
-        & (angular < REST_TURN)
-        & (moved + REST_FACTOR * left * linear < REST_SHARE * protocol.limit_pos)
-        & (turned + REST_FACTOR * left * angular < REST_SHARE * protocol.limit_rot)
+        (linear < REST.speed)
+        & (angular < REST.turn)
+        & (moved + REST.times * left * linear < REST.share * protocol.limit_pos)
+        & (turned + REST.times * left * angular < REST.share * protocol.limit_rot)
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -131,6 +132,23 @@ def test_validate_run_refuses_other_settings_under_a_published_name(floating):
         validate_run(Run.open(floating), replace(paper, hold=1.0))
     with pytest.raises(NotUsable, match="'dexgraspbench-1' is the name"):
         validate_run(Run.open(floating), replace(paper, name="dexgraspbench-1"))
+
+
+@pytest.mark.parametrize("workers", [("--executor", "inline"), ("--workers", "1")])
+def test_json_of_a_process_of_its_own_is_all_that_it_prints(floating, tmp_path, workers):
+    """What the libraries in the process and its workers print lands nowhere."""
+    folder = tmp_path / "run"
+    shutil.copytree(floating, folder, ignore=shutil.ignore_patterns("validate"))
+    (folder / "run.json").write_text(
+        (floating / "run.json")
+        .read_text()
+        .replace('"../library"', f'"{floating.parent / "library"}"')
+    )
+    brief = ("--set", "name=brief-4", "--set", "hold=0.2", "--json", *workers)
+    words = [sys.executable, "-m", "bidexdata.cli", "validate", str(folder), *brief]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout)
+    assert "Warp" not in done.stderr
 
 
 def test_loads_held_to_their_end_say_so_and_agree(library):

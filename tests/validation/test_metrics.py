@@ -21,12 +21,16 @@ def bodies_at(hands, *near):
 
 def distances(fingers=(0.01, 0.01), bodies=(), **depths):
     zero = dict.fromkeys(("self_collision", "inter_hand", "table", "object_table"), 0.0)
-    nothing = HandContacts(*(np.zeros(0, int),) * 2, np.zeros(0), *(np.zeros((0, 3)),) * 2)
+    bodies = tuple(np.array(b) for b in bodies)
+    hand = np.concatenate([np.full(len(b), i) for i, b in enumerate(bodies)] or [np.zeros(0, int)])
+    body = np.concatenate([np.arange(len(b)) for b in bodies] or [np.zeros(0, int)])
+    points = np.zeros((len(hand), 3))
+    nearest = HandContacts(hand, body, np.concatenate([*bodies, []]), points, points)
     return Distances(
         **({"hand_object": 0.01} | zero | depths),
         fingers=np.array(fingers),
-        bodies=tuple(np.array(b) for b in bodies),
-        contacts=nothing,
+        bodies=bodies,
+        contacts=nearest,
     )
 
 
@@ -46,6 +50,15 @@ def test_figures_of_distances_computed_by_hand(hands):
     assert m.contact_number == 3  # bodies deep inside count, unlike in DexGraspBench
     bench = MetricRules(contact_within=0.002, deep_counts=False)
     assert grasp_metrics(d, bench, hands).contact_number == 2
+    number = hands[0].body_names.index("lh_mfdistal")
+    second = HandContacts(
+        *(
+            np.append(a, [b], 0)
+            for a, b in zip(d.contacts, (0, number, 0.001, np.zeros(3), np.zeros(3)), strict=True)
+        )
+    )
+    both = d._replace(contacts=second)  # deep in one piece, and close to another
+    assert grasp_metrics(both, bench, hands).contact_number == 3
     every = MetricRules(contact_within=0.002, uncounted_bodies=())
     assert grasp_metrics(d, every, hands).contact_number == 4  # the knuckle too
     assert m.contact_distance == pytest.approx(0.014 / 4)
