@@ -195,6 +195,7 @@ def test_exact_distances_are_those_of_every_triangle(prepared):
 
 def test_the_gradient_has_length_one_and_follows_the_normal(prepared):
     """Away from the medial axis: where every distance within two cells grows as the normal says."""
+    deep = 0
     for obj in prepared.values():
         grid = signed_distance_grid(obj.solid, obj.pieces, SdfConfig())
         normals = obj.surface_normals.astype(float)
@@ -203,6 +204,9 @@ def test_the_gradient_has_length_one_and_follows_the_normal(prepared):
             reach = [sign * k * grid.cell for k in (1, 3, 5)]
             along = [signed_distances(obj.solid, obj.pieces, points + r * normals) for r in reach]
             clear = np.all(np.abs(np.array(along) - np.array(reach)[:, None]) < 1e-4, axis=0)
+            if sign < 0 and clear.mean() < 0.2:
+                continue  # walls thinner than ten cells
+            deep += sign < 0
             assert clear.mean() > 0.2
             at = points[clear] + reach[1] * normals[clear]
             value, slope = signed_distance(grid, 1.0, at)
@@ -213,6 +217,7 @@ def test_the_gradient_has_length_one_and_follows_the_normal(prepared):
             assert np.percentile(np.abs(length - 1), 90) < 0.05
             assert np.percentile(cosine, 5) > 0.98
             assert np.percentile(np.abs(value - reach[1]), 90) < 0.1 * grid.cell
+    assert deep > len(prepared) / 2
 
 
 REAL = [
