@@ -29,7 +29,8 @@ class PathNotFound(NotUsable):
 
     def __init__(self, path: str | Path, wanted: str):
         self.path = Path(path)
-        super().__init__(f"{path}: no such file or folder; expected {wanted}")
+        what = "nothing usable there" if self.path.is_dir() else "no such file or folder"
+        super().__init__(f"{path}: {what}; expected {wanted}")
 
 
 class UnknownName(NotUsable):

@@ -123,7 +123,7 @@ def _usage(err: Exception) -> int:
     context = getattr(err, "ctx", None)
     where = context.command_path if context is not None else "bidexdata"
     message = getattr(err, "format_message", lambda: str(err))()
-    if message:
+    if message and not message.startswith("Usage:"):
         print(f"error: {message.rstrip('.')}; see {where} --help", file=sys.stderr)
     elif context is not None:  # no arguments at all: the error is the help text
         print(context.get_help(), file=sys.stderr)

@@ -54,9 +54,10 @@ def prepare(
     each the same inputs and another part; the part that finishes last writes the index, and the
     library is the one that a single machine makes.
 
-    --json keys: library, inputs, prepared, hulls, resumed, made (inputs that this call worked on), by_status, failures (source_name, status,
-    reason; a duplicate is none), warnings (source_name, warning), waiting (inputs of other parts that are not done), seconds,
-    fingerprint. While some are waiting, the others count this part only.
+    --json keys: library, inputs, prepared, hulls, resumed, made (inputs that this call worked on),
+    no_longer (objects that left the index), by_status, failures (source_name, status, reason; a
+    duplicate is none), warnings (source_name, warning), waiting (inputs of other parts that are not
+    done), seconds, fingerprint. While some are waiting, the others count this part only.
     """
     from bidexdata.errors import NothingSucceeded
     from bidexdata.kinds import REPORT
@@ -89,9 +90,15 @@ def prepare(
             f"({counts_text(report.by_status)}; {report.hulls} replaced by the hull) "
             f"in {report.seconds:.1f} s"
         )
-        if not report.made and not report.waiting:
+        if report.no_longer:
+            lines.append(
+                f"{counted(len(report.no_longer), 'object')} of an earlier call left the index, as "
+                "these sources do not name them: runs made from them need them. Name all sources "
+                "in one call to have them back"
+            )
+        elif not report.made and not report.waiting:
             lines.append(f"nothing to do: every input was settled before; {out / REPORT} shows all")
-        elif not report.waiting:
+        if (report.made or report.no_longer) and not report.waiting:
             lines.append(f"{out / REPORT} shows every input: open it in a browser")
         warned = {w["source_name"] for w in data["warnings"]}
         if warned:

@@ -22,7 +22,8 @@ def table(
 ) -> None:
     """Write one flat row per grasp of a run or release, or per input file of a library.
 
-    Columns are in SI units and listed in docs/fields.md; an empty cell means that nothing is
+    docs/fields.md lists the columns and their units: SI, but for `size_mm`, codes, and what is a share
+    of the diagonal in a library. An empty cell means that nothing is
     known, for a verdict that the test was not run.
 
     --json keys: out, kind, n (rows), columns, protocol.

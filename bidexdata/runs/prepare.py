@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 from bidexdata import __version__
 from bidexdata.config import differing_keys, to_plain
-from bidexdata.errors import ConfigConflict, NotUsable
+from bidexdata.errors import BidexError, ConfigConflict, NotUsable
 from bidexdata.kinds import INDEX, OBJECTS, REPORT
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.failure import PrepareFailure
@@ -82,6 +82,8 @@ class PrepareReport:
     """Inputs that this call worked on."""
     waiting: int = 0
     """Inputs of other parts that nobody has settled yet; the index is written when none is left."""
+    no_longer: tuple[str, ...] = ()
+    """Objects that the index listed before and that these inputs do not name; their files stay."""
 
     @property
     def by_status(self) -> dict[str, int]:
@@ -107,6 +109,7 @@ class PrepareReport:
             "hulls": self.hulls,
             "resumed": self.resumed,
             "made": self.made,
+            "no_longer": list(self.no_longer),
             "by_status": self.by_status,
             "failures": failures_of(self.rows),
             "warnings": warnings_of(self.rows),
@@ -177,7 +180,9 @@ def prepare_library(
     folders = {n: _folder(tasks[n]) for n in known if rows[n]["status"] == Status.OK}
     for number, folder in folders.items():
         rows[number].update(index_columns(folder))
+    gone: set[str] = set()
     if not waiting:
+        gone = _listed(out) - {str(r["object_id"]) for r in rows}
         leave_out(rows, folders, config.select)
         write_index(out, rows, _identity(config), _asked(config))
         write_report(out, rows)
@@ -190,7 +195,16 @@ def prepare_library(
         seconds=time.monotonic() - start,
         fingerprint="" if waiting else Library.open(out).fingerprint,
         waiting=waiting,
+        no_longer=tuple(sorted(gone)),
     )
+
+
+def _listed(out: Path) -> set[str]:
+    """Objects of the index of an earlier call; none where it cannot be read."""
+    try:
+        return set(Library.open(out).object_ids)
+    except BidexError:
+        return set()
 
 
 def prepare_one(task: PrepareTask) -> Row:

@@ -216,3 +216,17 @@ def test_a_dry_run_lists_the_inputs_and_writes_nothing(
     assert run(arguments) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "2 inputs (2 ok); nothing was written"
     assert not (tmp_path / "lib").exists()
+
+
+def test_an_empty_folder_is_not_said_to_be_missing(tmp_path: Path, capsys: pytest.CaptureFixture):
+    (tmp_path / "empty").mkdir()
+    assert run(["prepare", str(tmp_path / "empty"), "--out", str(tmp_path / "lib")]) == 3
+    err = capsys.readouterr().err
+    assert "nothing usable there; expected mesh files in it" in err
+
+
+def test_no_arguments_give_the_help_and_no_complaint(capsys: pytest.CaptureFixture):
+    assert run([]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("Usage: bidexdata")
+    assert "error:" not in err

@@ -158,3 +158,15 @@ def test_half_a_line_of_a_killed_process_loses_no_other_time(tmp_path):
     for cut in ("two", "two,", "two,1.x", "two,1,1"):
         (tmp_path / TIMES / "killed.csv").write_text(f"zero,0.5\n{cut}")
         assert read_times(tmp_path) == {"one": 1.5, "zero": 0.5}
+
+
+def test_objects_that_other_inputs_do_not_name_leave_the_index_and_are_told(tmp_path, boxes, small):
+    out = tmp_path / "lib"
+    first = prepared([boxes], out, small)
+    assert first.no_longer == ()
+    second = prepared([sorted(boxes.glob("*"))[0]], out, small)
+    assert len(second.rows) == 1
+    gone = {r["object_id"] for r in first.rows} - {r["object_id"] for r in second.rows}
+    assert set(second.no_longer) == gone
+    assert len(gone) > 0
+    assert prepared([boxes], out, small).fingerprint == first.fingerprint  # their files stayed
