@@ -109,6 +109,17 @@ class ConfigConflict(BidexError):
         )
 
 
+class LibraryChanged(ConfigConflict):
+    """The library that a run was made from has other contents now."""
+
+    def __init__(self, folder: str | Path, library: str | Path, change: str):
+        super().__init__(folder, [f"library.fingerprint: {change}"])
+        self.args = (
+            f"the library {library} has changed since {folder} was made from it ({change}): prepare "
+            "it again from all of its inputs with the same settings, or make another run of it",
+        )
+
+
 class NothingSucceeded(BidexError):
     """The command finished, but not one object or grasp succeeded."""
 

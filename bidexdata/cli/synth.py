@@ -111,13 +111,19 @@ def synth(
     warn_of_failed(report, out)
     left_out = run.spec.without_scene
     done = report.before + report.finished
-    finish(
-        data,
-        [
+    if report.before == report.tasks:
+        made = [f"{counted(report.tasks, 'task')} done before, none open"]
+    else:
+        made = [
             f"{counted(report.good, 'row')} selected, {counted(report.rows, 'row')} stored "
             f"by {counted(report.finished, 'task')} in {seconds:.1f} s "
             f"({done} of {counted(report.tasks, 'task')} done){earlier_text(report.before)}",
             f"attempts: {counts_text(report.by_status)}",
+        ]
+    finish(
+        data,
+        [
+            *made,
             *([no_scene_text(left_out)] if left_out else []),
             *([no_grasp_text(report.without_grasp)] if report.without_grasp else []),
         ],

@@ -20,7 +20,14 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from bidexdata.config import fingerprint, to_plain
-from bidexdata.errors import BidexError, ConfigConflict, Contradiction, NotUsable, PathNotFound
+from bidexdata.errors import (
+    BidexError,
+    ConfigConflict,
+    Contradiction,
+    LibraryChanged,
+    NotUsable,
+    PathNotFound,
+)
 from bidexdata.kinds import RUN_FILE, expect_kind
 from bidexdata.record import FIELDS, GraspBatch, Header
 from bidexdata.record.fields import columns_written_by
@@ -81,14 +88,14 @@ class Run:
 
         Raises:
             PathNotFound: It is not where run.json says.
-            ConfigConflict: It has changed since.
+            LibraryChanged: It has changed since.
         """
         from bidexdata.objects.library import Library
 
         library = Library.open(self._source())
         if library.fingerprint != self.spec.source_fingerprint:
             change = f"{self.spec.source_fingerprint!r} -> {library.fingerprint!r}"
-            raise ConfigConflict(self.path, [f"library.fingerprint: {change}"])
+            raise LibraryChanged(self.path, library.path, change)
         return library
 
     def load_solid(self, object_id: str) -> Solid:

@@ -18,7 +18,7 @@ from bidexdata import BiDexDataset, Release, Run
 from bidexdata.cli.main import run
 from bidexdata.cli.report import validate_again
 from bidexdata.config import to_plain
-from bidexdata.errors import ConfigConflict, NotUsable
+from bidexdata.errors import ConfigConflict, LibraryChanged, NotUsable
 from bidexdata.pictures import sheet
 from bidexdata.runs import replay
 from bidexdata.runs.browse import open_browsable
@@ -407,6 +407,19 @@ def test_a_shard_of_one_engine_is_never_read_as_the_other_s(judged_by_another, t
     (folder / "validate" / "paper-1" / "protocol.json").unlink()
     with pytest.raises(ConfigConflict, match="fingerprint"):
         list(Run.open(folder).batches("paper-1", "f"))
+
+
+def test_a_library_that_has_changed_since_is_named(floating, library, tmp_path, capsys):
+    for folder in (floating, library):
+        shutil.copytree(folder, tmp_path / folder.name)
+    opened = Run.open(tmp_path / floating.name)
+    assert opened.library.path.samefile(tmp_path / library.name)
+    words = ["prepare", "shapes:cylinder/1", "--out", str(tmp_path / library.name), *INLINE[:2]]
+    assert run(words) == 0
+    assert "1 object of an earlier call left the index" in capsys.readouterr().out
+    with pytest.raises(LibraryChanged, match="has changed since"):
+        _ = Run.open(tmp_path / floating.name).library
+    assert LibraryChanged.exit_code == 5
 
 
 def test_partly_validated_rows_name_the_command_of_their_own_engine():
