@@ -182,7 +182,7 @@ def prepare_library(
         rows[number].update(index_columns(folder))
     gone: set[str] = set()
     if not waiting:
-        gone = _listed(out) - {str(r["object_id"]) for r in rows}
+        gone = _listed(out) - {str(r.get("object_id", "")) for r in rows}
         leave_out(rows, folders, config.select)
         write_index(out, rows, _identity(config), _asked(config))
         write_report(out, rows)
