@@ -2,7 +2,8 @@
 
 A solid that fills its hull is one piece. Everything else goes to CoACD under a limit of CPU
 seconds, more finely where its pieces bridge gaps; else to a cheaper second try, and at last it
-becomes its hull, which the method's name says. Whether two runs agree can depend on the CPU limit only, and that is recorded.
+becomes its hull, which the method's name says. Whether two runs agree can depend on the CPU limits
+only, and that is recorded.
 """
 
 from __future__ import annotations

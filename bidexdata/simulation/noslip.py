@@ -1,7 +1,7 @@
-"""Steps of MuJoCo whose noslip pass is ours: the same forces in about half the time.
+"""Steps of MuJoCo whose noslip pass is ours: the same forces in less time.
 
 MuJoCo's own pass writes down the matrix of all constraints, and its solver starts the next step from
-accelerations that the pass has changed: together three fifths of a step of two hands on an object.
+accelerations that the pass has changed.
 Here the engine steps without its pass, `noslip_kernels` computes it, and the solver starts from
 where it ended: `data.qacc` and `data.efc_force` stay those before the pass.
 """

@@ -97,7 +97,7 @@ class SimScene:
 
         Args:
             steps: How many.
-            plain: Leave all of a step to the engine, at about twice the time.
+            plain: Leave all of a step to the engine, which takes longer.
         """
         if not plain and self.noslip.applies():
             self.noslip.step(steps)
