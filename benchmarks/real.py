@@ -136,7 +136,7 @@ def _chosen_meshes(target: Path) -> int:
 
 
 def _bidexdata(*words: object) -> None:
-    subprocess.run([sys.executable, "-m", "bidexdata.cli", *map(str, words), "--quiet"], check=True)
+    subprocess.run([sys.executable, "-m", "bidexdata", *map(str, words), "--quiet"], check=True)
 
 
 def _scenes(rows: TaskRows) -> list[GraspBatch]:

@@ -109,14 +109,19 @@ class ConfigConflict(BidexError):
         )
 
 
-class LibraryChanged(ConfigConflict):
-    """The library that a run was made from has other contents now."""
+class SourceChanged(ConfigConflict):
+    """The library (or release) that a run was made from has other contents now."""
 
-    def __init__(self, folder: str | Path, library: str | Path, change: str):
-        super().__init__(folder, [f"library.fingerprint: {change}"])
+    def __init__(self, folder: str | Path, source: str | Path, change: str, kind: str = "library"):
+        super().__init__(folder, [f"{kind}.fingerprint: {change}"])
+        again = {
+            "library": "prepare it again from all of its inputs with the same settings, or make "
+            "another run of it",
+            "release": "test it anew with another --out",
+        }
         self.args = (
-            f"the library {library} has changed since {folder} was made from it ({change}): prepare "
-            "it again from all of its inputs with the same settings, or make another run of it",
+            f"the {kind} {source} has changed since {folder} was made from it ({change}): "
+            f"{again[kind]}",
         )
 
 

@@ -76,10 +76,11 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
     )
     if data["grasps"] is None:
         asked = "grasps as they came"
+    poses = f" in {counted(data['rest_poses'], 'rest pose')}" if data["rest_poses"] else ""
     sizes = ", ".join(f"{mm / 1000:g}" for mm in data["sizes_mm"])
     lines = [
         f"{data['path']}: run of hand {data['hand']}, preset {data['preset'] or '-'}, "
-        f"{data['setting']}, sizes {sizes or '-'} m, {asked}, seed {data['seed']}",
+        f"{data['setting']}{poses}, sizes {sizes or '-'} m, {asked}, seed {data['seed']}",
         f"fingerprint {data['fingerprint']}",
     ]
     if "files" in data:

@@ -32,6 +32,8 @@ from bidexdata.cli.view import view
 from bidexdata.errors import BidexError
 
 INTERRUPTED = 130
+REPEATABLE = ("--set",)
+"""Options that may be given more than once."""
 # click's class, or that of the copy which newer typer carries.
 _UsageError = cast("type[Exception]", typer.BadParameter.__bases__[0])
 
@@ -95,6 +97,7 @@ def main() -> None:
 def run(arguments: Sequence[str]) -> int:
     """Run one command and give its exit code; errors are one sentence on standard error."""
     try:
+        _refuse_twice(arguments)
         code = int(app(args=list(arguments), prog_name="bidexdata", standalone_mode=False) or 0)
         sys.stdout.flush()
         # Typer turns Ctrl-C into this code, or into Abort, depending on its version.
@@ -117,6 +120,14 @@ def run(arguments: Sequence[str]) -> int:
             "`bidexdata --version`, on the project's issue tracker"
         )
         return _complain(f"this is a bug in bidexdata ({what}); {hint}", 1, arguments)
+
+
+def _refuse_twice(arguments: Sequence[str]) -> None:
+    """Refuse an option that is there twice: the first one would be forgotten without a word."""
+    given = [word.partition("=")[0] for word in arguments if word.startswith("--")]
+    for option in given:
+        if given.count(option) > 1 and option not in REPEATABLE:
+            raise typer.BadParameter(f"{option} is given twice")
 
 
 def _usage(err: Exception) -> int:

@@ -74,7 +74,8 @@ def pack(
         missing = f"run {run.name}: {run.rows - run.tested} of {rows} not tested"
         warn(f"{missing}; run: {validate_again(run.path, report.protocol)}")
     if report.untested:
-        warn(f"without verdicts, as not validated completely: {counted(report.untested, 'object')}")
+        objects = counted(report.untested, "object has", "objects have")
+        warn(f"{objects} no verdicts in the release, as some of their rows are not tested")
     if report.left_out:
         warn(f"left out for the licence: {counted(len(report.left_out), 'object')}")
     data = {

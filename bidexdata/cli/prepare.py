@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from bidexdata.cli import options
-from bidexdata.cli.report import command, counts_text, finish
+from bidexdata.cli.report import command, counts_text, finish, free_name
 from bidexdata.wording import counted
 
 
@@ -116,7 +116,7 @@ def prepare(
     finish(
         data,
         lines,
-        following=command("synth", out, "--out", "RUN") if finished else "",
+        following=command("synth", out, "--out", free_name("RUN")) if finished else "",
         as_json=as_json,
         quiet=quiet,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import shlex
 import sys
@@ -52,6 +53,12 @@ def finish(
 def command(*parts: str | Path) -> str:
     """Spell a bidexdata command so that it can be pasted into a shell."""
     return shlex.join(["bidexdata", *(str(p) for p in parts)])
+
+
+def free_name(name: str) -> str:
+    """A folder to suggest: `name`, or the first of `name-2`, `name-3` ... that is not there."""
+    others = (f"{name}-{number}" for number in itertools.count(2))
+    return next(n for n in itertools.chain([name], others) if not Path(n).exists())
 
 
 def validate_again(run: str | Path, protocol: str) -> str:

@@ -14,6 +14,7 @@ from bidexdata.cli.report import (
     counts_text,
     earlier_text,
     finish,
+    free_name,
     refuse_nothing,
     warn_of_failed,
 )
@@ -213,7 +214,9 @@ def _validate(
     if run.spec.kind != "release":  # a re-test holds no rows of its own
         named = () if rules.name == DEFAULT_PROTOCOL else ("--protocol", rules.name)
         following = command(
-            *("pack", run.path, "--out", "RELEASE", "--name", "NAME", "--version", "1.0.0"), *named
+            *("pack", run.path, "--out", free_name("RELEASE")),
+            *("--name", "NAME", "--version", "1.0.0"),
+            *named,
         )
     finish(data, lines, following=following, as_json=as_json, quiet=quiet)
     refuse_nothing(

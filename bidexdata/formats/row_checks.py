@@ -118,8 +118,9 @@ def contacts(release: Release) -> str:
         worst_slide = max(worst_slide, float(np.nanmax(pads.slide, initial=0)))
         count += len(batch)
     return (
-        f"{counted(count, 'row')} posed again: median gaps of a hand up to {1000 * worst_gap:.2f} mm, "
-        f"offsets across the normal up to {1000 * worst_slide:.2f} mm"
+        f"{counted(count, 'row')} posed again: median gaps of a hand up to {1000 * worst_gap:.2f} mm "
+        f"(limit {1000 * CONTACT_GAP:g}), offsets across the normal up to {1000 * worst_slide:.2f} mm "
+        f"(beyond {1000 * CONTACT_SLIDE:g} mm the distance was measured on the pieces)"
     )
 
 

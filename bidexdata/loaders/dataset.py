@@ -22,6 +22,7 @@ from bidexdata.formats.tables import CONFIGURATIONS
 from bidexdata.loaders.collation import RowBatch
 from bidexdata.loaders.filters import Where, columns_named, matching_rows, scalar_values
 from bidexdata.loaders.poses import points_in_world, poses_in_object_frame
+from bidexdata.record.fields import TESTS
 
 log = logging.getLogger(__name__)
 
@@ -92,9 +93,7 @@ class BiDexDataset:
         self.cloud, self.points = cloud, points
         self._open()
         log.info("%r", self)
-        tests = self.release.figures.get("tests", {}).values()
-        if not any(t["selected"]["n"] or t["by_verdict"] for t in tests):
-            log.warning("%s was never tested: its suc_* are False everywhere", self.release.path)
+        self._warn_of_untested()
         if where is not None and self._total and not len(self):
             log.warning("where=%s keeps none of %d grasps", self._where_name(), self._total)
 
@@ -112,6 +111,21 @@ class BiDexDataset:
         if len(chosen) and not (-len(self) <= chosen.min() and chosen.max() < len(self)):
             raise IndexError(f"this dataset has {len(self)} grasps")
         return RowBatch(self._read(self._rows[chosen]), len(chosen))
+
+    def _warn_of_untested(self) -> None:
+        """Warn where `suc_*` are False for want of a test: of all, or of one that is asked for."""
+        tests = self.release.figures.get("tests", {})
+        run = {name for name, t in tests.items() if t["selected"]["n"] or t["by_verdict"]}
+        if not run:
+            log.warning("%s was never tested: its suc_* are False everywhere", self.release.path)
+            return
+        asked = {*self.fields, *(columns_named(self.where) or ())}
+        for name in (f"suc_{t}" for t in TESTS if t not in run):
+            if name in asked:
+                log.warning(
+                    "%s holds no verdict of test %s: no row has %s",
+                    *(self.release.path, name.removeprefix("suc_"), name),
+                )
 
     @property
     def object_ids(self) -> tuple[str, ...]:

@@ -37,6 +37,8 @@ def source_bytes(item: SourceItem, most: int) -> bytes:
     if item.problem:
         raise PrepareFailure(Status.UNREADABLE, item.problem)
     assert item.path is not None
+    if not item.path.exists():
+        raise PrepareFailure(Status.NO_FILE, "the paths of a list start at the list's own folder")
     if not item.pieces:
         return regular_bytes(item.path, most)
     # The same file prepared without its pieces is another solid: it must have another identity.

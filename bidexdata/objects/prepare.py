@@ -34,6 +34,9 @@ from bidexdata.objects.traits import mesh_hash, traits
 from bidexdata.record.status import Status
 from bidexdata.wording import counted
 
+VOLUME_DOUBT = 0.25
+"""Relative difference between the volumes of pieces and mesh above which a warning says so."""
+
 
 def prepare_object(
     source: str | Path | TriangleMesh | SourceItem, config: PrepareConfig | None = None
@@ -138,7 +141,7 @@ def _provenance(
     config: PrepareConfig,
 ) -> dict[str, Any]:
     """Where the object is from, what was done to it, and how far that moved its surface."""
-    volume = mass_properties(repaired.mesh).volume
+    ratio = solid.volume * solid.diagonal**3 / mass_properties(repaired.mesh).volume
     samples = config.repair.hausdorff_samples
     in_file = loaded.centre + loaded.diagonal * solid.centre
     moved = _union(solid)
@@ -155,9 +158,9 @@ def _provenance(
         "hausdorff": repaired.hausdorff,
         "piece_method": split.method,
         "pieces": len(split.pieces),
-        "volume_ratio": solid.volume * solid.diagonal**3 / volume,
+        "volume_ratio": ratio,
         "solid_hausdorff": hausdorff(moved, repaired.mesh, samples),
-        "warnings": [*loaded.warnings, *repaired.warnings, *split.warnings],
+        "warnings": [*loaded.warnings, *repaired.warnings, *split.warnings, *_of_volume(ratio)],
     }
 
 
@@ -187,8 +190,17 @@ def _of_given(
     provenance |= _shape(union, config)
     closed = as_manifold(shown) if given.shown else None
     if closed is not None and closed.volume() > 0:
-        provenance["volume_ratio"] = solid.volume * solid.diagonal**3 / closed.volume()
+        ratio = solid.volume * solid.diagonal**3 / closed.volume()
+        provenance["volume_ratio"] = ratio
+        provenance["warnings"] += _of_volume(ratio)
     return assembled(object_id_of(item, data), solid, shown, provenance, config)
+
+
+def _of_volume(ratio: float) -> list[str]:
+    """Warn of pieces that fill what is hollow in the mesh: hands would grasp what is not there."""
+    if abs(ratio - 1) <= VOLUME_DOUBT:
+        return []
+    return [f"the convex pieces have {ratio:.2f} times the volume of the mesh"]
 
 
 def _shape(mesh: TriangleMesh, config: PrepareConfig) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from bidexdata.objects.prepared import Solid
+from bidexdata.objects.sources.item import UNKNOWN
 from bidexdata.pictures.sheet import Caption
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.fields import DIRECTIONS
@@ -70,7 +71,8 @@ def object_caption(solid: Solid) -> Caption:
     known = solid.provenance
     made = [
         counted(len(solid.pieces), "convex piece"),
-        *(str(known[k]) for k in ("piece_method", "licence") if known.get(k)),
+        *([str(known["piece_method"])] if known.get("piece_method") else []),
+        f"licence {known.get('licence') or UNKNOWN}",
     ]
     warnings = known.get("warnings") or ()
     lines = (" · ".join(made), str(warnings[0]) if warnings else "")

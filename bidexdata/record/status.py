@@ -27,6 +27,7 @@ class Status(IntEnum):
     UNSUPPORTED = 10
     NOT_SELECTED = 11
     NEAR_DUPLICATE = 12
+    NO_FILE = 13
 
     # synth
     NO_REGION_PAIR = 20
@@ -78,6 +79,7 @@ _SENTENCES = {
     Status.UNSUPPORTED: "the file needs a feature or package that is not supported",
     Status.NOT_SELECTED: "the selection leaves the object out",
     Status.NEAR_DUPLICATE: "an earlier input has nearly the same shape",
+    Status.NO_FILE: "there is no such file",
     Status.NO_REGION_PAIR: "no two regions of the object are far enough apart and accessible",
     Status.NO_PLACEMENT: "no hand pose clear of the object was found at the regions",
     Status.NOT_FINITE: "the optimisation produced numbers that are not finite",
@@ -91,7 +93,7 @@ _SENTENCES = {
     Status.NO_CONTACT: "no hand touched the object after closing",
     Status.THROWN: "the object left the limits while the hands were closing",
     Status.SLIP: "the object moved farther than the limit under load",
-    Status.TURNED: "the object tipped over: it turned farther than the limit under load",
+    Status.TURNED: "the object turned farther than the limit under load, before it moved as far",
     Status.UNSTABLE: "the simulation became unstable: numbers that are not finite, or a warning",
     Status.BAD_POSE: "the stored pose is not finite, not a rotation or absurdly far away",
     Status.NO_SCENE: "the simulator refuses to build a scene of the object at this size",

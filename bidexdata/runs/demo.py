@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bidexdata.errors import NotUsable
+from bidexdata.kinds import kind_of
 from bidexdata.runs.pack import PackReport, pack_runs
 from bidexdata.runs.prepare import PrepareReport, prepare_library
 from bidexdata.runs.render import RenderReport, render
@@ -99,7 +101,12 @@ def run_demo(
         sources: Objects.
         sizes_mm: Sizes.
         say: Takes a line before each stage.
+
+    Raises:
+        NotUsable: `out` itself is a library, a run or a release.
     """
+    if kind_of(out) != "nothing":
+        raise NotUsable(f"{out} is a {kind_of(out)}; choose another --out for the demo")
     demo = Demo(out, execution or TaskExecution(), grasps, sources, sizes_mm)
     made, seconds = {}, {}
     for stage in stages_of(demo):

@@ -159,13 +159,15 @@ def _repair(row: Mapping[str, Any]) -> str:
     steps = ", ".join(row.get("repair_steps") or ())
     away = row.get("hausdorff")
     text = [f"{escape(str(row.get('repair')))}", f"<small>{escape(steps)}</small>"]
-    return "<br>".join([*text, "" if away is None else f"{100 * away:.2f} % away"])
+    return "<br>".join([*text, *([] if away is None else [f"{100 * away:.2f} % from the file"])])
 
 
 def _pieces(row: Mapping[str, Any]) -> str:
-    ratio = row.get("volume_ratio")
-    text = f"{row.get('pieces')}<br><small>{escape(str(row.get('piece_method')))}</small>"
-    return text + ("" if ratio is None else f"<br>volume x {ratio:.2f}")
+    text = [f"{row.get('pieces')}", f"<small>{escape(str(row.get('piece_method')))}</small>"]
+    ratio, away = row.get("volume_ratio"), row.get("solid_hausdorff")
+    text += [] if ratio is None else [f"volume x {ratio:.2f}"]
+    text += [] if away is None else [f"{100 * away:.2f} % from the mesh"]
+    return "<br>".join(text)
 
 
 def _shape(row: Mapping[str, Any]) -> str:

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 from bidexdata import __version__
 from bidexdata.config import differing_keys, to_plain
 from bidexdata.errors import BidexError, ConfigConflict, NotUsable
-from bidexdata.kinds import INDEX, OBJECTS, REPORT
+from bidexdata.kinds import INDEX, OBJECTS, REPORT, kind_of
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.identity import object_id_of, source_bytes
@@ -302,8 +302,6 @@ def _work(
             if SECONDS in result:
                 append_time(tasks[number].library, tasks[number].object_id, result.pop(SECONDS))
             rows[number].update(result)
-            if rows[number]["status"] != Status.OK:
-                progress.write(f"{rows[number]['source_name']}: {rows[number]['reason']}")
             progress.advance(note=tasks[number].object_id)
 
 
@@ -364,8 +362,9 @@ def _check_out(out: Path, config: PrepareConfig) -> None:
     foreign = [p.name for p in out.iterdir() if p.name not in own and not p.name.startswith(".")]
     if foreign:
         # A release has `objects` too, and must not be written to.
-        held = sorted(foreign)[0]
-        raise NotUsable(f"{out} is no library (it holds {held}); choose another --out")
+        kind = kind_of(out)
+        what = f"holds {sorted(foreign)[0]}" if kind in ("nothing", "library") else f"is a {kind}"
+        raise NotUsable(f"{out} {what} and is no folder for a library; choose another --out")
     known = next((out / OBJECTS).glob("*/*/object.json"), None)
     if known is None:
         return

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from bidexdata.config import differing_keys, fingerprint
 from bidexdata.errors import ConfigConflict, NotUsable
+from bidexdata.formats.manifest import sha256_of
 from bidexdata.kinds import MANIFEST, kind_of
 from bidexdata.record import FIELDS, GraspBatch
 from bidexdata.record.scene import Setting
@@ -62,7 +62,6 @@ def start_retest(release_path: str | Path, out: str | Path) -> Run:
 
 
 def _spec(release: Release, out: Path) -> RunSpec:
-    manifest = (release.path / MANIFEST).read_bytes()
     sizes = release.index("selected", columns=["size_mm"]).column("size_mm").unique().to_pylist()
     return RunSpec(
         kind="release",
@@ -71,7 +70,7 @@ def _spec(release: Release, out: Path) -> RunSpec:
         sizes_mm=tuple(sorted(sizes)),
         setting=_setting(release),
         source=relative_to_run(release.path, out),
-        source_fingerprint=hashlib.sha256(manifest).hexdigest()[:16],
+        source_fingerprint=sha256_of(release.path / MANIFEST)[:16],
         rounds=_rounds(release),
         versions=package_versions(),
     )

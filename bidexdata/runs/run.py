@@ -24,11 +24,11 @@ from bidexdata.errors import (
     BidexError,
     ConfigConflict,
     Contradiction,
-    LibraryChanged,
     NotUsable,
     PathNotFound,
+    SourceChanged,
 )
-from bidexdata.kinds import RUN_FILE, expect_kind
+from bidexdata.kinds import MANIFEST, RUN_FILE, expect_kind
 from bidexdata.record import FIELDS, GraspBatch, Header
 from bidexdata.record.fields import columns_written_by
 from bidexdata.runs.plan import Task, read_plan
@@ -88,15 +88,33 @@ class Run:
 
         Raises:
             PathNotFound: It is not where run.json says.
-            LibraryChanged: It has changed since.
+            SourceChanged: It has changed since.
         """
         from bidexdata.objects.library import Library
 
         library = Library.open(self._source())
         if library.fingerprint != self.spec.source_fingerprint:
             change = f"{self.spec.source_fingerprint!r} -> {library.fingerprint!r}"
-            raise LibraryChanged(self.path, library.path, change)
+            raise SourceChanged(self.path, library.path, change)
         return library
+
+    def check_source(self) -> None:
+        """Refuse to go on where what the run was made of has changed.
+
+        Raises:
+            PathNotFound: The library, or the release that is re-tested, is not where run.json says.
+            SourceChanged: It is there and holds something else.
+        """
+        if self.spec.kind != "release":
+            _ = self.library
+            return
+        from bidexdata.formats.manifest import sha256_of
+
+        source = self._source()
+        found = sha256_of(source / MANIFEST)[:16]
+        if found != self.spec.source_fingerprint:
+            change = f"{self.spec.source_fingerprint!r} -> {found!r}"
+            raise SourceChanged(self.path, source, change, "release")
 
     def load_solid(self, object_id: str) -> Solid:
         """Load an object of the run from its library (or from the release it re-tests)."""

@@ -79,7 +79,8 @@ def validate_run(
             something that the back end does not do here, or other settings than those of the
             known protocol of that name.
         MissingExtra: MuJoCo Warp is asked for and not installed.
-        ConfigConflict: The run has verdicts of another protocol under this name.
+        ConfigConflict: The run has verdicts of another protocol under this name, or its library has
+            changed.
     """
     from bidexdata.validation.backends import check_backend, on_backend
     from bidexdata.validation.protocols import require_own_name
@@ -94,6 +95,7 @@ def validate_run(
     have = run.done()
     if not have:
         raise NotUsable(f"{run.path} has no finished task yet; run `bidexdata synth` first")
+    run.check_source()
     _store_protocol(run, protocol)
     tasks = [t for t in take_shard(run.tasks, execution.shard) if t.task_id in have]
     return {

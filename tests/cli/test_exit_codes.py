@@ -35,6 +35,9 @@ WRITTEN = [
     ([*SYNTH, "--fast"], "--fast"),
     (["synth", "{tmp}/library"], "--out"),
     (["info"], "PATH"),
+    # an option twice: the first would be forgotten
+    ([*SYNTH, "--sizes", "0.3", "--sizes", "0.5"], "--sizes is given twice"),
+    ([*PACK, "--version=2.0.0"], "--version is given twice"),
     # text where a number belongs
     ([*SYNTH, "--grasps", "many"], "--grasps"),
     ([*SYNTH, "--seed", "1.5"], "--seed"),
@@ -52,8 +55,8 @@ WRITTEN = [
     ([*SYNTH, "--set", "regions.anchors=["], "not valid YAML"),
     ([*SYNTH, "--set", "placement.left_direction=[1, 2]"], "needs 3 values"),
     # I/N, X.Y.Z, a name, FAMILY/COUNT
-    ([*PACK, "--version", "1"], "X.Y.Z"),
-    ([*PACK, "--name", "my grasps"], "'my grasps'"),
+    ([*PACK[:-1], "1"], "X.Y.Z"),
+    ([*PACK[:5], "my grasps", *PACK[6:]], "'my grasps'"),
     ([*SYNTH, "--shard", "4/4"], "--shard '4/4'"),
     ([*VALIDATE, "--shard", "first"], "--shard 'first'"),
     ([*PREPARE, "--shard", "1/1"], "--shard '1/1'"),

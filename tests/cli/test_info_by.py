@@ -13,6 +13,8 @@ from bidexdata.formats.metric_text import BLOCKS
 from bidexdata.objects.identity import named_id
 from bidexdata.record.fields import METRICS
 
+INLINE = ("--executor", "inline", "--quiet")
+
 
 @pytest.fixture(scope="module")
 def release(tmp_path_factory):
@@ -78,3 +80,14 @@ def test_what_cannot_be_grouped_is_said():
 def test_a_grouping_that_is_not_there_is_named(release, capsys):
     assert run(["info", str(release), "--by", "objekt"]) == 3
     assert f"did you mean 'object'?); known: {', '.join(BY)}" in capsys.readouterr().err
+
+
+def test_a_tabletop_run_says_in_how_many_rest_poses(tmp_path, capsys):
+    library, out = str(tmp_path / "library"), str(tmp_path / "run")
+    assert run(["prepare", "shapes:box", "--out", library, *INLINE]) == 0
+    words = ["--hand", "capsule", "--sizes", "0.3", "--grasps", "1", "--candidates", "1"]
+    table = ["--setting", "tabletop", "--rest-poses", "2"]
+    run(["synth", library, "--out", out, *words, *table, *INLINE])
+    capsys.readouterr()
+    assert run(["info", out]) == 0
+    assert "tabletop in 2 rest poses, sizes 0.3 m" in capsys.readouterr().out

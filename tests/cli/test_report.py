@@ -12,7 +12,13 @@ import trimesh
 
 from bidexdata.cli.figures import LEGEND
 from bidexdata.cli.main import run
-from bidexdata.cli.report import earlier_text, no_grasp_text, refuse_nothing, warn_of_failed
+from bidexdata.cli.report import (
+    earlier_text,
+    free_name,
+    no_grasp_text,
+    refuse_nothing,
+    warn_of_failed,
+)
 from bidexdata.errors import NothingSucceeded
 from bidexdata.runs.executors import TaskFailure
 from bidexdata.runs.stage import StageReport
@@ -26,6 +32,14 @@ def test_failed_tasks_are_counted_with_the_first_reason_and_what_to_do(capsys):
     assert len(said.splitlines()) == 1
     warn_of_failed(StageReport(tasks=5, before=1), Path("here/run"))
     assert capsys.readouterr().err == ""
+
+
+def test_suggested_folders_are_not_there_yet(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert free_name("RUN") == "RUN"
+    for name in ("RUN", "RUN-2"):
+        (tmp_path / name).mkdir()
+    assert free_name("RUN") == "RUN-3"
 
 
 def rows(*success: bool) -> list[dict[str, np.ndarray]]:

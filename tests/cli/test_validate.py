@@ -18,7 +18,7 @@ from bidexdata import BiDexDataset, Release, Run
 from bidexdata.cli.main import run
 from bidexdata.cli.report import validate_again
 from bidexdata.config import to_plain
-from bidexdata.errors import ConfigConflict, LibraryChanged, NotUsable
+from bidexdata.errors import ConfigConflict, NotUsable, SourceChanged
 from bidexdata.pictures import sheet
 from bidexdata.runs import replay
 from bidexdata.runs.browse import open_browsable
@@ -145,7 +145,7 @@ def test_json_of_a_process_of_its_own_is_all_that_it_prints(floating, tmp_path, 
         .replace('"../library"', f'"{floating.parent / "library"}"')
     )
     brief = ("--set", "name=brief-4", "--set", "hold=0.2", "--json", *workers)
-    words = [sys.executable, "-m", "bidexdata.cli", "validate", str(folder), *brief]
+    words = [sys.executable, "-m", "bidexdata", "validate", str(folder), *brief]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     assert json.loads(done.stdout)
     assert "Warp" not in done.stderr
@@ -417,9 +417,27 @@ def test_a_library_that_has_changed_since_is_named(floating, library, tmp_path, 
     words = ["prepare", "shapes:cylinder/1", "--out", str(tmp_path / library.name), *INLINE[:2]]
     assert run(words) == 0
     assert "1 object of an earlier call left the index" in capsys.readouterr().out
-    with pytest.raises(LibraryChanged, match="has changed since"):
+    with pytest.raises(SourceChanged, match="has changed since"):
         _ = Run.open(tmp_path / floating.name).library
-    assert LibraryChanged.exit_code == 5
+    logs = sorted(opened.path.rglob("*.log"))
+    assert run(["validate", str(opened.path), "--protocol", "paper-1-mass500g"]) == 5
+    said = capsys.readouterr().err
+    assert "has changed since" in said
+    assert len(said.splitlines()) == 1
+    assert sorted(opened.path.rglob("*.log")) == logs, "no task was begun"
+
+
+def test_a_release_that_has_changed_since_is_named(floating, tmp_path, capsys):
+    release, again = tmp_path / "release", tmp_path / "again"
+    pack = ["pack", str(floating), "--out", str(release), "--name", "n", "--version"]
+    assert run([*pack, "1.0.0"]) == 0
+    words = ["validate", str(release), "--out", str(again), "--set", "name=mine-9", *INLINE]
+    assert run(words) == 0
+    shutil.rmtree(release)
+    assert run([*pack, "1.0.1"]) == 0
+    capsys.readouterr()
+    assert run(["validate", str(again), "--set", "name=mine-8", *INLINE]) == 5
+    assert f"the release {release} has changed since" in capsys.readouterr().err
 
 
 def test_partly_validated_rows_name_the_command_of_their_own_engine():

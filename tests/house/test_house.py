@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "bidexdata"
 
-# cli -> viewer -> runs -> loaders, formats -> synthesis | validation -> arms -> pictures
+# __main__ -> cli -> viewer -> runs -> loaders, formats -> synthesis | validation -> arms -> pictures
 # -> simulation -> objects, hands -> wrench, record -> frames, errors, config, devices, engine_log,
 # kinds, wording.
 # Rooms on one floor do not import each other, but for the pairs in SAME_FLOOR.
@@ -28,6 +28,7 @@ FLOORS = [
     {"runs"},
     {"viewer"},
     {"cli"},
+    {"__main__"},
 ]
 SAME_FLOOR = {
     ("config", "errors"),

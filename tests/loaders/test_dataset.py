@@ -266,6 +266,14 @@ def test_fewer_points_are_the_first_of_the_stored_ones(floating):
     assert torch.equal(few, many[:16])
 
 
+def test_a_test_that_was_never_run_is_named_where_it_is_asked_for(floating, caplog):
+    assert len(BiDexDataset(floating, where="suc_l", cloud=None)) == 0
+    assert "holds no verdict of test l: no row has suc_l" in caplog.text
+    caplog.clear()
+    BiDexDataset(floating, where="suc_f", cloud=None)
+    assert "holds no verdict" not in caplog.text
+
+
 def test_untested_rows_can_be_left_out(tmp_path, caplog):
     out = made_release(tmp_path / "r", OBJECTS[:1], tested=False)
     assert not BiDexDataset(out, fields=("suc_f",), cloud=None)[0]["suc_f"]

@@ -55,6 +55,19 @@ def test_every_input_is_one_row_with_its_status(tmp_path, meshes, small):
     assert json.loads(json.dumps(report.as_dict()))["prepared"] == 2
 
 
+def test_pieces_that_fill_a_hollow_are_warned_of_and_shown(tmp_path, small):
+    crude = replace(small, convex=replace(small.convex, max_pieces=1, finer_above=100.0))
+    report = run(["shapes:bowl"], tmp_path / "lib", crude)
+    (row,) = report.rows
+    assert row["volume_ratio"] > 1.25
+    said = f"the convex pieces have {row['volume_ratio']:.2f} times the volume of the mesh"
+    assert said in row["warnings"]
+    page = (tmp_path / "lib" / "report.html").read_text("utf-8")
+    assert said in page
+    assert f"{100 * row['solid_hausdorff']:.2f} % from the mesh" in page
+    assert f"{100 * row['hausdorff']:.2f} % from the file" in page
+
+
 def test_worker_processes_give_the_bytes_of_one_process(tmp_path, meshes, small):
     run([meshes, "shapes:bracket"], tmp_path / "inline", small)
     run([meshes, "shapes:bracket"], tmp_path / "two", small, executor="processes", workers=2)
@@ -126,7 +139,7 @@ def test_a_foreign_folder_is_left_alone(tmp_path, meshes, small):
     # A release and a run hold objects too, and are told apart from an unfinished library.
     (out / "thesis.tex").rename(out / "manifest.json")
     (out / "objects").mkdir()
-    with pytest.raises(NotUsable, match=r"manifest\.json"):
+    with pytest.raises(NotUsable, match="is a release and"):
         run([meshes], out, small)
     with pytest.raises(NotUsable, match="is a release; this needs a library"):
         Library.open(out)
@@ -174,7 +187,7 @@ def test_listed_files_that_do_not_exist_are_rows(tmp_path, meshes, small):
     listed = meshes / "list.txt"
     listed.write_text("missing.obj\na_box.stl\n")
     report = run([listed], tmp_path / "lib", small)
-    assert [r["status_label"] for r in report.rows] == ["unreadable", "ok"]
+    assert [r["status_label"] for r in report.rows] == ["no_file", "ok"]
 
 
 def test_real_meshes_are_prepared_without_the_hull(tmp_path, shared):

@@ -174,7 +174,7 @@ def test_a_load_direction_is_named(hands):
 def test_an_object_caption_counts_pieces_and_warns():
     caption = object_caption(box_solid("box0-00000000"))
     assert caption.head == "box0-00000000"
-    assert "2 convex pieces" in caption.lines[0]
+    assert caption.lines[0] == "2 convex pieces · convex · licence CC0-1.0"
     assert caption.lines[1] == "a <warning>"
 
 

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
+from bidexdata.errors import NotUsable
 from bidexdata.formats.release import Release
+from bidexdata.kinds import RUN_FILE
 from bidexdata.runs.demo import NAME, Demo, run_demo, stages_of
 from bidexdata.runs.stage import TaskExecution
 
@@ -14,6 +18,13 @@ STAGES = ["prepare", "synth", "validate", "pack", "render"]
 
 def shards(folder: Path) -> dict[Path, int]:
     return {p: p.stat().st_mtime_ns for p in folder.rglob("*.arrow")}
+
+
+def test_a_folder_that_is_something_else_is_left_alone(tmp_path: Path):
+    (tmp_path / RUN_FILE).write_text("{}")
+    with pytest.raises(NotUsable, match="is a run; choose another --out"):
+        run_demo(tmp_path, execution=INLINE)
+    assert [p.name for p in tmp_path.iterdir()] == [RUN_FILE]
 
 
 def test_the_stages_are_said_in_order_and_finished_parts_stay(tmp_path: Path):

@@ -1,5 +1,0 @@
-"""`python -m bidexdata.cli`."""
-
-from bidexdata.cli.main import main
-
-main()
