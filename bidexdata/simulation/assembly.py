@@ -127,7 +127,13 @@ def _slide(spec: mujoco.MjSpec, root: mujoco.MjsBody, index: int, settings: Scen
         slides = number < 3
         kp, damping = settings.slide_gains if slides else settings.hinge_gains
         kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
-        root.add_joint(name=name, type=kind, axis=list(np.eye(3)[number % 3]), damping=[damping])
+        root.add_joint(
+            name=name,
+            type=kind,
+            axis=list(np.eye(3)[number % 3]),
+            pos=list(settings.weld_anchor),
+            damping=[damping],
+        )
         servo = spec.add_actuator(
             name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, ctrllimited=False
         )
@@ -135,10 +141,11 @@ def _slide(spec: mujoco.MjSpec, root: mujoco.MjsBody, index: int, settings: Scen
 
 
 def _actuate_every_joint(child: mujoco.MjSpec, hand: Hand) -> None:
-    """Replace a hand's actuators by one of every joint with the gain of the one that moved it."""
+    """Replace a hand's actuators by one of every joint: gain and force are those of the one before."""
     import mujoco
 
-    gains = child.copy().compile().actuator_gainprm[:, 0]
+    model = child.copy().compile()
+    gains, limits = model.actuator_gainprm[:, 0], model.actuator_forcerange
     strongest = np.abs(hand.actuator_moment) > 0
     for actuator in list(child.actuators):
         child.delete(actuator)
@@ -148,6 +155,8 @@ def _actuate_every_joint(child: mujoco.MjSpec, hand: Hand) -> None:
             name=joint_actuator(joint), target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
         )
         servo.set_to_position(kp=float(gains[mine[0]]) if len(mine) else 1.0)
+        if len(mine) and model.actuator_forcelimited[mine[0]]:
+            servo.forcelimited, servo.forcerange = 1, limits[mine[0]]
 
 
 def _is_called(body: str, wanted: str) -> bool:

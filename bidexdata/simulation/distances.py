@@ -98,7 +98,7 @@ def measure_distances(
         reach: Pairs farther apart than this are not looked for [m].
         full_broad_phase: Find all of the nearer ones; else those that a broad phase without
             margin leaves (`MetricRules.full_broad_phase`).
-        last_body_counts: The last body of the last hand takes part in self and inter-hand depths.
+        last_body_counts: The last body of the left hand takes part in self and inter-hand depths.
     """
     set_pose(scene, object_pos, object_quat, hand_pos, hand_quat, joints)
     owners, geoms, dist, points, normals = list_contacts(scene, reach, full_broad_phase)
@@ -106,7 +106,8 @@ def measure_distances(
     with_object = (owners[:, 0] >= 0) & (owners[:, 1] == of_object)
     among_hands = (owners[:, 0] >= 0) & (owners[:, 1] < of_object)
     if not last_body_counts and scene.hands:
-        last = (len(scene.hands) - 1, len(scene.hands[-1].body_names) - 1)
+        mine = next((i for i, h in enumerate(scene.hands) if h.side == "left"), 0)
+        last = (mine, len(scene.hands[mine].body_names) - 1)
         is_last = (owners == last[0]) & (scene.geom_body[geoms] == last[1])
         among_hands &= ~is_last.any(axis=1)
     same = owners[:, 0] == owners[:, 1]

@@ -255,6 +255,7 @@ def _apply_settings(scene: SimScene) -> None:
         model.actuator_gainprm[actuators, 0] = kp
         model.actuator_biasprm[actuators] = 0.0
         model.actuator_biasprm[actuators, 1] = -kp
-        model.actuator_forcelimited[actuators] = 1
-        model.actuator_forcerange[actuators] = (-s.actuator_force, s.actuator_force)
+        if s.actuator_force is not None:
+            model.actuator_forcelimited[actuators] = 1
+            model.actuator_forcerange[actuators] = (-s.actuator_force, s.actuator_force)
         model.actuator_ctrllimited[actuators] = 0

@@ -71,8 +71,9 @@ class SceneSettings:
     actuator_kp: float | None = 5.0
     """Stiffness of every position actuator [N m/rad]; no derivative gain. None: the hand's own;
     a joint without an actuator of its own gets that of the tendon that moves it."""
-    actuator_force: float = 3.0
-    """Largest torque of an actuator, both signs [N m]; controls have no range."""
+    actuator_force: float | None = 3.0
+    """Largest torque of an actuator, both signs [N m]; controls have no range. None: the hand's
+    own, as for the stiffness."""
 
     base: Literal["weld", "slides"] = "weld"
     """How a hand is carried: a free joint welded to a mocap body, or three slides and three hinges
@@ -85,7 +86,7 @@ class SceneSettings:
     weld_torque_scale: float = 1.0
     """Weight of the weld's rotation against its translation [m]."""
     weld_anchor: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Point of the hand frame that the weld holds [m]."""
+    """Point of the hand frame that the weld holds, or that the hinges turn about [m]."""
     slide_gains: tuple[float, float] = (1000.0, 100.0)
     """Stiffness [N/m] and joint damping [N s/m] of a slide of the base."""
     hinge_gains: tuple[float, float] = (100.0, 10.0)
@@ -94,8 +95,9 @@ class SceneSettings:
     """Share of gravity that does not act on the hands [-]."""
 
     def __post_init__(self) -> None:
-        positive = ("timestep", "impratio", "density", "actuator_force", "tolerance")
-        optional = tuple(n for n in ("mass", "actuator_kp") if getattr(self, n) is not None)
+        positive = ("timestep", "impratio", "density", "tolerance")
+        optional = ("mass", "actuator_kp", "actuator_force")
+        optional = tuple(name for name in optional if getattr(self, name) is not None)
         for name in positive + optional:
             if not getattr(self, name) > 0:
                 raise BadConfig(

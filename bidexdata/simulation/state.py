@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bidexdata.frames import matrix_from_quat
+from bidexdata.frames import matrix_from_quat, quat_rotate
 
 from .scene import SimScene
 
@@ -44,7 +44,8 @@ def set_pose(
             data.qpos[address : address + 3] = hand_pos[i]
             data.qpos[address + 3 : address + 7] = hand_quat[i]
         else:
-            data.qpos[address : address + 6] = [*hand_pos[i], *_hinge_angles(hand_quat[i])]
+            slid = _slid(scene, hand_pos[i], hand_quat[i])
+            data.qpos[address : address + 6] = [*slid, *_hinge_angles(hand_quat[i])]
         own = joints[i, : len(scene.joint_qpos[i])]
         data.qpos[scene.joint_qpos[i]] = own
         data.ctrl[scene.actuators[i]] = scene.controls(i, own)
@@ -80,7 +81,13 @@ def set_targets(scene: SimScene, hand_pos: FloatArray, hand_quat: FloatArray) ->
         # The turn nearest to where the hinges are: a target never asks for a whole turn.
         now = data.qpos[address + 3 : address + 6]
         angles += 2 * np.pi * np.round((now - angles) / (2 * np.pi))
-        data.ctrl[scene.base_actuators[i]] = [*hand_pos[i], *angles]
+        data.ctrl[scene.base_actuators[i]] = [*_slid(scene, hand_pos[i], hand_quat[i]), *angles]
+
+
+def _slid(scene: SimScene, hand_pos: FloatArray, hand_quat: FloatArray) -> FloatArray:
+    """Where the slides are when a hand is somewhere: hinges turn about the anchor, not the root."""
+    anchor = np.asarray(scene.settings.weld_anchor)
+    return hand_pos + quat_rotate(hand_quat, anchor) - anchor
 
 
 def _hinge_angles(quat: FloatArray) -> FloatArray:

@@ -50,9 +50,11 @@ _BIMAN = replace(
         base="slides",
         actuators="joints",
         actuator_kp=None,
+        actuator_force=None,
         hand_gravity_compensation=1.0,
     ),
     segment_changes=25,
+    lift=replace(_BENCH.lift, changes=25),
     metrics=replace(_BENCH.metrics, table_is_hand=False, last_body_counts=False),
 )
 

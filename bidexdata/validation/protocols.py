@@ -83,7 +83,8 @@ class MetricRules:
     """The table counts as a hand: its contacts with the object enter PD and the start check, with
     hands SPD (DexGraspBench, its trap 1)."""
     last_body_counts: bool = True
-    """The last body of the last hand enters SPD; BimanDexGraspBench leaves it out (trap 2)."""
+    """The last body of the left hand, the last of the fork's scene, enters SPD; BimanDexGraspBench
+    leaves it out (trap 2)."""
     full_broad_phase: bool = True
     """Pairs up to `reach` apart are all found. DexGraspBench changes margins after compiling, and
     the broad phase then misses some, whose fingers read as being at the reach."""

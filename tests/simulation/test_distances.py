@@ -183,3 +183,23 @@ def test_a_warning_of_the_engine_leaves_no_file(hands, scene, tmp_path, monkeypa
     one = tuple(part[None] for part in pose)
     pregrasp_penetration(hands, box_solid(), SIZE, *AT_ORIGIN, *one, scene=small)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_fork_s_rule_leaves_out_the_last_body_of_the_left_hand_alone(scene):
+    left = next(i for i, hand in enumerate(scene.hands) if hand.side == "left")
+    last = len(scene.hands[left].body_names) - 1
+    joints = np.stack([h.posture_open for h in scene.hands])
+    rng, changed = np.random.default_rng(6), 0
+    for _ in range(200):
+        pos = np.array([[2.0, 0, 0], [2.0, 0, 0]]) + rng.uniform(-0.12, 0.12, (2, 3))
+        pose = (*AT_ORIGIN, pos, random_quat(rng, (2,)), joints)
+        every = measure_distances(scene, *pose).inter_hand
+        ruled = measure_distances(scene, *pose, last_body_counts=False).inter_hand
+        set_pose(scene, *pose)
+        owners, geoms, dist, *_ = list_contacts(scene, 0.0, full_broad_phase=True)
+        thumb = ((owners == left) & (scene.geom_body[geoms] == last)).any(axis=1)
+        between = (owners[:, 0] != owners[:, 1]) & (owners < len(scene.hands)).all(axis=1) & ~thumb
+        assert ruled == pytest.approx(np.min(dist[between], initial=0.0))
+        assert every <= ruled
+        changed += every < ruled
+    assert changed

@@ -25,6 +25,7 @@ def test_the_bench_is_what_its_facts_state():
     assert (p.lift.height, p.lift.changes * p.lift.steps * p.scene.timestep) == (0.10, 0.4)
     assert p.lift_checks == 0
     biman = load_protocol("bimandexgraspbench-1")
+    assert biman.lift.changes * biman.lift.steps * biman.scene.timestep == 1.0
     assert biman.segment_changes * biman.segment_steps * biman.scene.timestep == 1.0
 
 
@@ -83,6 +84,26 @@ def test_hands_on_slides_follow_their_targets(hands):
         mujoco.mj_step(scene.model, scene.data, 50)
         body = scene.model.body(f"hand0/{hands[0].root_body}").id
         np.testing.assert_allclose(scene.data.xpos[body], pos[0], atol=5e-3)
+
+
+def test_the_fork_s_hinges_turn_about_a_point_below_the_palm(hands):
+    rules = load_protocol("bimandexgraspbench-1").scene
+    model = build_scene(hands, None, 0.0, rules).model
+    np.testing.assert_array_equal(model.jnt_pos[:6], [[0, 0, -0.034]] * 6)
+
+
+def test_the_fork_s_fingers_keep_the_torques_of_their_hand(menagerie):
+    from bidexdata.hands import load_hands
+
+    rules = load_protocol("bimandexgraspbench-1").scene
+    model = build_scene(load_hands("shadow"), None, 0.0, rules).model
+    found: dict[str, set[float]] = {}
+    for i in range(model.nu):
+        joint = model.actuator(i).name.rpartition("h_")[2]
+        if model.actuator_forcelimited[i]:
+            found.setdefault(joint[:2], set()).add(float(model.actuator_forcerange[i, 1]))
+    assert found.pop("TH") == {1.0, 2.0, 3.0}
+    assert found == {finger: {1.0} for finger in ("FF", "MF", "RF", "LF")}
 
 
 def test_a_weld_holds_any_point_of_the_hand_at_its_target(hands):
