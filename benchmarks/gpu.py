@@ -133,7 +133,11 @@ def _verdict_rates(amounts: Amounts, device: str) -> dict[str, dict[str, float]]
         verdicts = warp_verdicts(scene, protocol, grasps * times, device=device)
         seconds = time.perf_counter() - start
         share = np.mean([v.status is Status.OK for v in verdicts])
-        found[str(len(verdicts))] = {"rate": len(verdicts) / seconds, "success": float(share)}
+        found[str(len(verdicts))] = {
+            "rate": len(verdicts) / seconds,
+            "success": float(share),
+            **_peak_memory(device),
+        }
     return found
 
 
@@ -216,6 +220,15 @@ def _synchronised(work: Callable[[], object]) -> Callable[[], None]:
         wp.synchronize()
 
     return run
+
+
+def _peak_memory(device: str) -> dict[str, float]:
+    """The most memory of a GPU that was in use so far; nothing where it keeps no count."""
+    import warp as wp
+
+    if not (wp.get_device(device).is_cuda and wp.is_mempool_enabled(device)):
+        return {}
+    return {"peak_mib": wp.get_mempool_used_mem_high(device) / 2**20}
 
 
 def _name(device: str) -> str:
