@@ -42,7 +42,7 @@ from .warp_worlds import (
 _log = logging.getLogger(__name__)
 
 MOST_WORLDS = 8192
-"""Worlds that step together; about 1 MB of device memory each."""
+"""Worlds that step together; about 0.5 MB of device memory each."""
 FEW = 4
 """When no more than one in so many worlds is busy, the busy ones go on among themselves."""
 SMALL = 32
