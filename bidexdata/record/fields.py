@@ -97,6 +97,7 @@ _ALL = (
     _f("energy_pad", "float32", "", "", "", "synth", "grasps", "squared hinge of the angle between pads and surface at the grasp, unweighted"),
     _f("qp_residual_hand", "float32", "H", "", "", "synth", "grasps", "zero-load QP residual of each hand alone"),
     _f("qp_residual", "float32", "", "", "", "synth", "grasps", "zero-load QP residual of all contacts together, each hand pressing"),
+    _f("qp_residual_shifted", "float32", "", "", "", "synth", "grasps", "its mean over contacts that are moved along the surface: what selection goes by"),
     _f("contact_index", "int16", "H C", "", "", "synth", "contacts", "number of the hand's contact point; -1 where a hand has fewer"),
     _f("contact_point", "float32", "H C 3", "m", "object", "synth", "contacts", "object surface point closest to the contact point, at the grasp"),
     _f("contact_normal", "float32", "H C 3", "", "object", "synth", "contacts", "outward unit surface normal there"),

@@ -127,3 +127,36 @@ def contact_pad(
     energy_out[grasp, i] = h * h
     pad_gradient_out[grasp, i] = (-2.0 * weight * h) * n
     normal_gradient_inout[grasp, i] = normal_gradient_inout[grasp, i] - (2.0 * weight * h) * pad
+
+
+@wp.kernel
+def shifted_centres(
+    # Problem in:
+    sets: int,
+    shift: float,
+    points_in: wp.array2d[wp.vec3],
+    normals_in_in: wp.array2d[wp.vec3],
+    size_in: wp.array[float],
+    length_in: wp.array[float],
+    # Problem out, `sets` rows for each grasp:
+    centres_out: wp.array2d[wp.vec3],
+    size_out: wp.array[float],
+    length_out: wp.array[float],
+):
+    """Move every contact by `shift` in its tangent plane; set s moves all grasps' contacts alike."""
+    row, i = wp.tid()
+    grasp = row // sets
+    n = normals_in_in[grasp, i]
+    # The axis that is least along n gives the longest cross product.
+    axis = wp.vec3(1.0, 0.0, 0.0)
+    if wp.abs(n[1]) < wp.abs(n[0]):
+        axis = wp.vec3(0.0, 1.0, 0.0)
+    if wp.abs(n[2]) < wp.min(wp.abs(n[0]), wp.abs(n[1])):
+        axis = wp.vec3(0.0, 0.0, 1.0)
+    u = wp.normalize(wp.cross(n, axis))
+    angle = 2.0 * wp.pi * wp.randf(wp.rand_init(row % sets, i))
+    away = wp.cos(angle) * u + wp.sin(angle) * wp.cross(n, u)
+    centres_out[row, i] = points_in[grasp, i] + shift * away
+    if i == 0:
+        size_out[row] = size_in[grasp]
+        length_out[row] = length_in[grasp]

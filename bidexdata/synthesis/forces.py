@@ -53,6 +53,65 @@ def contact_forces(ws: Workspace, closure: ClosureConfig, iterations: int) -> Co
     )
 
 
+def shifted_residual(
+    ws: Workspace,
+    closure: ClosureConfig,
+    normal_step: float,
+    *,
+    shift: float,
+    sets: int,
+    iterations: int,
+) -> Float[np.ndarray, " N"]:
+    """Mean coupled zero-load residual of contacts that lie a little elsewhere [-].
+
+    Fingers touch where they happen to, about a centimetre from where they were meant to; a grasp
+    whose balance needs exact places is a bad one.
+
+    Args:
+        ws: Holds the contacts.
+        closure: Constants of the QP.
+        normal_step: Half width of the differences that give normals [m].
+        shift: How far each contact is moved along the surface [m].
+        sets: Number of moved sets per grasp, each with directions of its own.
+        iterations: QP iterations from zero.
+
+    Source:
+        Ours; docs/measurements.md, 14: AUC for failure 0.84, 0.74 without the shift.
+    """
+    import warp as wp
+
+    from bidexdata.synthesis.contact_kernels import shifted_centres
+    from bidexdata.synthesis.distance_field_kernels import closest_surface
+
+    c, device = ws.contacts, ws.device
+    rows = (ws.count * sets, c.points.shape[1])
+    if not ws.count:
+        return np.zeros(0)
+    size, length = (wp.empty(rows[0], dtype=float, device=device) for _ in range(2))
+    centres, slope, points, normals = (
+        wp.empty(rows, dtype=wp.vec3, device=device) for _ in range(4)
+    )
+    distance = wp.empty(rows, dtype=float, device=device)
+    wp.launch(
+        shifted_centres,
+        dim=rows,
+        inputs=[sets, shift, c.points, c.normals_in, ws.size, ws.torque_length],
+        outputs=[centres, size, length],
+        device=device,
+    )
+    wp.launch(
+        closest_surface,
+        dim=rows,
+        inputs=[ws.field, size, normal_step, centres],
+        outputs=[distance, slope, points, normals],
+        device=device,
+    )
+    groups = qp_groups(ws.contacts_per_hand, "coupled")
+    qp = allocate_contact_qp(rows[0], groups, zero_target(), device=device)
+    solve_contact_qp(points, normals, length, qp, closure.qp, iterations=iterations)
+    return qp.residual.numpy().reshape(ws.count, sets).astype(np.float64).mean(axis=1)
+
+
 def force_scales(
     forces: Float[np.ndarray, "N 2 C 3"],
     normals_in: Float[np.ndarray, "N 2 C 3"],

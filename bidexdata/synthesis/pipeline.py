@@ -16,7 +16,13 @@ from bidexdata.frames import quat_multiply, quat_rotate
 from bidexdata.record import GraspBatch, Scene, Status
 from bidexdata.synthesis.attempts import Attempts, draw_attempts, gather_starts
 from bidexdata.synthesis.config import SynthConfig
-from bidexdata.synthesis.forces import ContactForces, contact_forces, force_scales, joint_torques
+from bidexdata.synthesis.forces import (
+    ContactForces,
+    contact_forces,
+    force_scales,
+    joint_torques,
+    shifted_residual,
+)
 from bidexdata.synthesis.optimise import Optimised, optimise
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.rows import scene_rows
@@ -35,6 +41,8 @@ class Staged(NamedTuple):
     optimised: Optimised
     squeeze: Pose
     forces: ContactForces
+    shifted: np.ndarray
+    """Residual of moved contacts [-], (K,)."""
     force_scale: np.ndarray
     """[N] per unit of force, (K, 2)."""
     depth: np.ndarray
@@ -83,7 +91,7 @@ def synthesize(
     staged = _grasp(obj, hands, attempts, config, device)
     made = []
     for one, rows in zip(attempts, _rows_per_scene(attempts), strict=True):
-        status, depth, residual = _outcome(one, staged, rows)
+        status, depth, residual, shifted = _outcome(one, staged, rows)
         made.append(
             scene_rows(
                 hands,
@@ -91,7 +99,7 @@ def synthesize(
                 staged,
                 rows,
                 status=status,
-                selected=best(status, depth, residual, grasps, config.selection),
+                selected=best(status, depth, residual, shifted, grasps, config.selection),
                 audit=audit(count, grasps, np.random.default_rng([one.seed, 2])),
                 steps=config.optimise.steps,
                 first_attempt=first_attempt,
@@ -114,7 +122,15 @@ def _grasp(
     forces = contact_forces(
         found.workspace, config.optimise.closure, config.selection.residual_iterations
     )
-    staging = config.staging
+    select, staging = config.selection, config.staging
+    shifted = shifted_residual(
+        found.workspace,
+        config.optimise.closure,
+        config.optimise.energy.normal_step,
+        shift=select.shift,
+        sets=select.shifted_sets,
+        iterations=select.shifted_iterations,
+    )
     scale = force_scales(
         forces.forces,
         found.normals_in,
@@ -129,8 +145,8 @@ def _grasp(
     finite = found.pregrasp.finite() & found.grasp.finite() & target.finite()
     stages = (found.pregrasp, found.grasp, target)
     depth, among, table = _depths(obj, hands, attempts, stages, finite)
-    status = judge(finite, found.gaps, depth, config.selection, among_hands=among, table=table)
-    return Staged(found, target, forces, scale, depth, status)
+    status = judge(finite, found.gaps, depth, select, among_hands=among, table=table)
+    return Staged(found, target, forces, shifted, scale, depth, status)
 
 
 def _depths(
@@ -196,12 +212,13 @@ def _rows_per_scene(attempts: Sequence[Attempts]) -> list[np.ndarray]:
 
 def _outcome(
     one: Attempts, staged: Staged, rows: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Status, pre-grasp depth and coupled residual of all M attempts of a scene."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Status, pre-grasp depth, coupled and shifted residual of all M attempts of a scene."""
     placed = one.status == Status.OK
     status = one.status.copy()
     status[placed] = staged.status[rows]
-    depth, residual = np.full((2, len(status)), np.nan)
+    depth, residual, shifted = np.full((3, len(status)), np.nan)
     depth[placed] = staged.depth[rows]
     residual[placed] = staged.forces.residual[rows]
-    return status, depth, residual
+    shifted[placed] = staged.shifted[rows]
+    return status, depth, residual, shifted

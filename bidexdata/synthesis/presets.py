@@ -149,6 +149,9 @@ PAPER_IDLE = (
     Kept("staging.largest_offset", "of the joint torques, which are off"),
     Kept("selection.residual_iterations", "of a residual that only stands in the record"),
     Kept("selection.contact_tolerance", "of a check that is off"),
+    Kept("selection.shift", "of an order that keeps everything"),
+    Kept("selection.shifted_sets", "of an order that keeps everything"),
+    Kept("selection.shifted_iterations", "of an order that keeps everything"),
 )
 
 _PRESETS = {

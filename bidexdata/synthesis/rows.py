@@ -119,6 +119,7 @@ def _figures(
         "energy_self": energies.self_penetration,
         "energy_pad": energies.pad,
         "qp_residual": forces.residual,
+        "qp_residual_shifted": staged.shifted,
         "qp_residual_hand": forces.residual_hand,
         "force_scale": staged.force_scale,
     }.items():

@@ -16,6 +16,7 @@ from bidexdata.wording import counted
 # column, words, factor, unit
 _SCORES = (
     ("qp_residual", "QP residual, both hands", 1.0, ""),
+    ("qp_residual_shifted", "the same with moved contacts", 1.0, ""),
     ("energy_qp", "closure energy Q", 1.0, ""),
     ("energy_distance", "E_dis", 1e6, "mm²"),
     ("energy_penetration", "E_pen", 1e6, "mm²"),

@@ -11,7 +11,12 @@ from bidexdata.hands.kinematics import forward_kinematics, hand_points
 from bidexdata.objects.prepared import SignedDistanceGrid
 from bidexdata.synthesis import chain
 from bidexdata.synthesis.distance_field import signed_distance
-from bidexdata.synthesis.forces import contact_forces, force_scales, joint_torques
+from bidexdata.synthesis.forces import (
+    contact_forces,
+    force_scales,
+    joint_torques,
+    shifted_residual,
+)
 from bidexdata.synthesis.optimise import closure_problem, optimise, read_pose
 from bidexdata.synthesis.optimise_config import (
     AdamConfig,
@@ -23,6 +28,7 @@ from bidexdata.synthesis.optimise_config import (
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.staging import StagingConfig, squeeze, torque_offsets
 from bidexdata.synthesis.workspace import Start, allocate
+from bidexdata.wrench.qp import QPConfig
 
 # Kernels are float32 and the field is piecewise linear: slopes agree to a few percent.
 SLOPE_TOLERANCE = 0.03
@@ -409,6 +415,38 @@ def test_each_hand_presses_as_hard_as_the_weight_asks(body, hands):
     pressed = np.sum(forces.forces * found.normals_in, axis=(2, 3)) * scale
     np.testing.assert_allclose(pressed, np.tile([[3.0], [3.0], [7.84], [78.4]], (1, 2)), rtol=1e-5)
     assert np.all(forces.residual >= 0)
+
+
+def shifted(workspace, shift, mu=0.3):
+    closure, step = ClosureConfig(qp=QPConfig(mu=mu)), EnergyConfig().normal_step
+    return shifted_residual(workspace, closure, step, shift=shift, sets=8, iterations=150)
+
+
+def test_contacts_that_stay_have_the_coupled_residual(body, hands):
+    found = optimise(body, hands, facing_start(hands, 4), short())
+    plain = contact_forces(found.workspace, ClosureConfig(), 150).residual
+    np.testing.assert_allclose(shifted(found.workspace, 0.0), plain, rtol=0.02, atol=1e-5)
+
+
+def test_a_balance_that_needs_exact_places_is_lost_when_they_move(body, hands):
+    """The farther the contacts move, the worse; and no grasp is judged by its neighbours."""
+    slippery = 0.05
+    closure = ClosureConfig(qp=QPConfig(mu=slippery), weight_coupled=200.0)
+    config = OptimiseConfig(closure=closure)
+    found = optimise(body, hands, facing_start(hands, 6), config)
+    means = [shifted(found.workspace, shift, slippery).mean() for shift in (0.0, 0.01, 0.03)]
+    assert means[0] < means[1] < means[2]
+    start = facing_start(hands, 6)
+    first = replace(
+        start,
+        **{name: getattr(start, name)[:2] for name in ("size", "position", "rotation", "plane")},
+        joints=tuple(j[:2] for j in start.joints),
+        regions=start.regions[:2],
+    )
+    alone = optimise(body, hands, first, config)
+    np.testing.assert_array_equal(
+        shifted(alone.workspace, 0.01, slippery), shifted(found.workspace, 0.01, slippery)[:2]
+    )
 
 
 def test_the_step_rule_is_adam_with_shared_moments(hands, body):

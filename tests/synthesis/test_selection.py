@@ -17,23 +17,24 @@ def sample(seed=0, count=200):
     residual = rng.uniform(0, 1, count)
     residual[status != Status.OK] = np.nan
     depth[status != Status.OK] = np.nan
-    return status.astype(np.int8), depth, residual
+    shifted = residual + rng.uniform(0, 1, count)
+    return status.astype(np.int8), depth, residual, shifted
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 1000])
 def test_no_attempt_left_out_is_better_than_one_kept(count):
-    status, depth, residual = sample()
-    kept = best(status, depth, residual, count, CONFIG)
+    status, depth, residual, shifted = sample()
+    kept = best(status, depth, residual, shifted, count, CONFIG)
     able = (status == Status.OK) & (residual <= CONFIG.largest_residual)
     assert not np.any(kept & ~able)
     assert kept.sum() == min(count, able.sum())
-    key = np.stack([depth > CONFIG.clear_depth, residual], axis=1)
+    key = np.stack([depth > CONFIG.clear_depth, shifted], axis=1)
     if kept.any() and (able & ~kept).any():
         assert max(map(tuple, key[kept])) <= min(map(tuple, key[able & ~kept]))
 
 
 def test_equal_attempts_are_kept_in_their_order():
-    kept = best(np.zeros(6, np.int8), np.zeros(6), np.zeros(6), 2, CONFIG)
+    kept = best(np.zeros(6, np.int8), *np.zeros((3, 6)), 2, CONFIG)
     assert kept.tolist() == [True, True, False, False, False, False]
 
 
@@ -76,7 +77,7 @@ def test_no_accepted_grasp_is_deeper_than_the_limit():
     none = np.zeros(300)
     gaps = np.zeros((300, 2, 5))
     status = judge(np.ones(300, bool), gaps, depth, CONFIG, among_hands=none, table=none)
-    kept = best(status, depth, rng.uniform(0, 0.1, 300), 300, CONFIG)
+    kept = best(status, depth, *rng.uniform(0, 0.1, (2, 300)), 300, CONFIG)
     assert kept.any()
     assert depth[kept].max() <= CONFIG.start_depth
 

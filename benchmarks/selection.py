@@ -1,0 +1,72 @@
+"""How well analytic figures foretell failure: `python -m benchmarks.selection RUN`.
+
+Area under the ROC curve over the audit rows with a grasp that a run's verdicts are of: the chance
+that a grasp that fails has the larger figure than one that passes. 0.5 says nothing, 1 is perfect.
+The table goes into docs/measurements.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bidexdata import Run
+from bidexdata.record import GraspBatch, Status
+
+CRITERIA = {
+    "qp_residual": "coupled residual",
+    "qp_residual_shifted": "coupled residual of moved contacts",
+    "energy_distance": "distances of the pads",
+    "energy_penetration": "penetration energy",
+    "energy_self": "overlaps of the hands",
+    "energy_pad": "angles of the pads",
+}
+
+
+def auc(figure: NDArray[np.float64], failed: NDArray[np.bool_]) -> float:
+    """Chance that a failed row has the larger figure than a passed one; ties count half."""
+    from scipy.stats import rankdata
+
+    bad = int(failed.sum())
+    if not 0 < bad < len(failed):
+        return float("nan")
+    above = rankdata(figure)[failed].sum() - bad * (bad + 1) / 2
+    return float(above / (bad * (len(failed) - bad)))
+
+
+def measure(path: str, protocol: str, test: str) -> dict[str, Any]:
+    """The figure of every criterion, over all audit rows and for each cause of failure."""
+    batches = [b.select(b.audit) for b in Run.open(path).batches(protocol, test)]
+    rows = GraspBatch.concat([b.select(b["synth_status"] == Status.OK) for b in batches])
+    failed, status = ~rows["success"], rows["verdict_status"]
+    causes = [Status(int(s)) for s in np.unique(status[failed])]
+    found: dict[str, Any] = {"n": len(rows), "failed": int(failed.sum()), "auc": {}}
+    for name, words in CRITERIA.items():
+        figure = rows[name].astype(np.float64)
+        of = {"all": auc(figure, failed)}
+        for cause in causes:
+            among = ~failed | (status == cause)
+            of[cause.label] = auc(figure[among], failed[among])
+        found["auc"][words] = of
+    hands = rows["qp_residual_hand"].astype(np.float64).max(axis=1)
+    found["auc"]["residual of the worse hand alone"] = {"all": auc(hands, failed)}
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the figures as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run")
+    parser.add_argument("--protocol", default="paper-1")
+    parser.add_argument("--test", default="f")
+    asked = parser.parse_args(arguments)
+    print(json.dumps(measure(asked.run, asked.protocol, asked.test), indent=2))
+
+
+if __name__ == "__main__":
+    main()
