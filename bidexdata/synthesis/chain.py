@@ -8,6 +8,7 @@ A call of the list does not wait for the device and allocates nothing.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +26,12 @@ from bidexdata.wrench.qp import (
 )
 
 if TYPE_CHECKING:
-    from bidexdata.synthesis.optimise_config import AdamConfig, EnergyConfig, PhaseConfig
+    from bidexdata.synthesis.optimise_config import (
+        AdamConfig,
+        ClosureConfig,
+        EnergyConfig,
+        PhaseConfig,
+    )
     from bidexdata.synthesis.workspace import HandWork, Workspace
 
 Call = Callable[[], Any]
@@ -97,6 +103,57 @@ def closure_term(
         )
 
     return [solve, differentiate]
+
+
+def circling_closure_term(
+    ws: Workspace,
+    qp: ContactQP,
+    group_weight: Any,
+    closure: ClosureConfig,
+    energy: EnergyConfig,
+    steps: int,
+) -> list[Call]:
+    """The closure term of contacts that circle about their places, once per call of the list.
+
+    The gradient is that at the moved contact, whose direction from the pad's place is held. It goes
+    straight to the centres: the gradients at the unmoved points start at zero.
+    """
+    c, shape = ws.contacts, ws.contacts.centres.shape
+    centres, slope, points, normals, point_gradient, normal_gradient = (
+        wp.zeros(shape, dtype=wp.vec3, device=ws.device) for _ in range(6)
+    )
+    distance = wp.zeros(shape, dtype=float, device=ws.device)
+    bases = [hand.position for hand in ws.hands]
+    arguments = [c.hand, closure.shift, 0.0, *bases, c.points, c.normals_in, centres]
+    circle = _launch(ws, contact_kernels.circling_centres, shape, arguments)
+    done = itertools.count()
+
+    def move() -> None:
+        if circle:
+            circle.set_param_at_index(2, closure.turns * next(done) / steps)
+            circle.launch()
+
+    def solve() -> None:
+        solve_contact_qp(
+            points, normals, ws.torque_length, qp, closure.qp, iterations=closure.iterations
+        )
+
+    def differentiate() -> None:
+        gradients = (point_gradient, normal_gradient)
+        contact_qp_gradient(points, normals, ws.torque_length, qp, group_weight, *gradients)
+        c.point_gradient.zero_()
+        c.normal_gradient.zero_()
+
+    field = [ws.field, ws.size, energy.normal_step]
+    to_surface = [*field, centres, distance, slope, points, normals]
+    back = [*field, points, normals, point_gradient, normal_gradient, c.centre_gradient]
+    return [
+        move,
+        _record(ws, distance_field_kernels.closest_surface, shape, to_surface),
+        solve,
+        differentiate,
+        _record(ws, distance_field_kernels.surface_chain, shape, back),
+    ]
 
 
 def pad_term(ws: Workspace, energy: EnergyConfig) -> list[Call]:

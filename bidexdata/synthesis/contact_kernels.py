@@ -129,11 +129,67 @@ def contact_pad(
     normal_gradient_inout[grasp, i] = normal_gradient_inout[grasp, i] - (2.0 * weight * h) * pad
 
 
+@wp.func
+def _beside(p: wp.vec3, n: wp.vec3, base: wp.vec3, shift: float, turn: float) -> wp.vec3:
+    """The point `shift` away from p in the plane across n, `turn` of a circle from the hand's base.
+
+    Turned or mirrored hands have turned or mirrored points, a mirrored one with -turn.
+    """
+    u = base - p
+    u = wp.normalize(u - wp.dot(u, n) * n)
+    angle = 2.0 * wp.pi * turn
+    return p + shift * (wp.cos(angle) * u + wp.sin(angle) * wp.cross(n, u))
+
+
+@wp.func
+def _base_of(side: int, left: wp.vec3, right: wp.vec3) -> wp.vec3:
+    if side == 0:
+        return left
+    return right
+
+
+@wp.kernel
+def circling_centres(
+    # Hand:
+    side: wp.array[int],
+    # Closure:
+    shift: float,
+    turns: float,
+    # Problem in:
+    left_in: wp.array[wp.vec3],
+    right_in: wp.array[wp.vec3],
+    points_in: wp.array2d[wp.vec3],
+    normals_in_in: wp.array2d[wp.vec3],
+    # Problem out:
+    centres_out: wp.array2d[wp.vec3],
+):
+    """Move every contact along a circle about its place: `turns` are those since the start.
+
+    Each finger has a start, a pace of 0.5 to 1.5 and a sense of its own; hands are mirror images.
+    """
+    grasp, i = wp.tid()
+    h = side[i]
+    lot = wp.rand_init(0, i % (points_in.shape[1] // 2))
+    turn = wp.randf(lot)
+    pace = 0.5 + wp.randf(lot)
+    if wp.randf(lot) < 0.5:
+        pace = -pace
+    turn = turn + pace * turns
+    if h == 1:
+        turn = -turn
+    base = _base_of(h, left_in[grasp], right_in[grasp])
+    centres_out[grasp, i] = _beside(points_in[grasp, i], normals_in_in[grasp, i], base, shift, turn)
+
+
 @wp.kernel
 def shifted_centres(
+    # Hand:
+    side: wp.array[int],
     # Problem in:
     sets: int,
     shift: float,
+    left_in: wp.array[wp.vec3],
+    right_in: wp.array[wp.vec3],
     points_in: wp.array2d[wp.vec3],
     normals_in_in: wp.array2d[wp.vec3],
     size_in: wp.array[float],
@@ -146,17 +202,10 @@ def shifted_centres(
     """Move every contact by `shift` in its tangent plane; set s moves all grasps' contacts alike."""
     row, i = wp.tid()
     grasp = row // sets
-    n = normals_in_in[grasp, i]
-    # The axis that is least along n gives the longest cross product.
-    axis = wp.vec3(1.0, 0.0, 0.0)
-    if wp.abs(n[1]) < wp.abs(n[0]):
-        axis = wp.vec3(0.0, 1.0, 0.0)
-    if wp.abs(n[2]) < wp.min(wp.abs(n[0]), wp.abs(n[1])):
-        axis = wp.vec3(0.0, 0.0, 1.0)
-    u = wp.normalize(wp.cross(n, axis))
-    angle = 2.0 * wp.pi * wp.randf(wp.rand_init(row % sets, i))
-    away = wp.cos(angle) * u + wp.sin(angle) * wp.cross(n, u)
-    centres_out[row, i] = points_in[grasp, i] + shift * away
+    base = _base_of(side[i], left_in[grasp], right_in[grasp])
+    turn = wp.randf(wp.rand_init(row % sets, i))
+    p, n = points_in[grasp, i], normals_in_in[grasp, i]
+    centres_out[row, i] = _beside(p, n, base, shift, turn)
     if i == 0:
         size_out[row] = size_in[grasp]
         length_out[row] = length_in[grasp]

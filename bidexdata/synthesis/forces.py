@@ -95,7 +95,10 @@ def shifted_residual(
     wp.launch(
         shifted_centres,
         dim=rows,
-        inputs=[sets, shift, c.points, c.normals_in, ws.size, ws.torque_length],
+        inputs=[
+            *(c.hand, sets, shift, *(hand.position for hand in ws.hands)),
+            *(c.points, c.normals_in, ws.size, ws.torque_length),
+        ],
         outputs=[centres, size, length],
         device=device,
     )

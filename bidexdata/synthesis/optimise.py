@@ -138,10 +138,14 @@ def _approach(ws: Workspace, config: OptimiseConfig) -> None:
         constants,
         iterations=closure.start_iterations,
     )
+    if closure.shift > 0:
+        closing = chain.circling_closure_term(ws, qp, weights, closure, energy, phase.steps)
+    else:
+        closing = chain.closure_term(ws, qp, weights, constants, closure.iterations)
     step = [
         *run,
         *chain.distance_term(ws, energy, phase.distance),
-        *chain.closure_term(ws, qp, weights, constants, closure.iterations),
+        *closing,
         *chain.region_term(ws, energy),
         *chain.pad_term(ws, energy),
         *chain.chain_to_centres(ws, energy),

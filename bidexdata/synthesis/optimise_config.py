@@ -34,8 +34,14 @@ class ClosureConfig:
     weight_decoupled: float = 10.0
     """Weight of the sum of both hands' Q [-]. Measured with the zero wrench: from 40 to 10 the
     finger-object distances spread over 3.6 instead of 6 mm at no loss of success."""
-    weight_coupled: float = 10.0
-    """Weight of the coupled Q [-]. As above."""
+    weight_coupled: float = 20.0
+    """Weight of the coupled Q [-]. Measurements, 14."""
+    shift: float = 0.012
+    """How far from where the pads are closest the closure has its contacts [m]: they circle in the
+    tangent plane, each at its own pace, so that the balance does not hang on exact places.
+    Measurements, 14; the paper has 0."""
+    turns: float = 16.0
+    """Mean number of circles during the approach [-]. Measurements, 14."""
     disturbances: Disturbances = "zero"
     """`forces`: six unit forces +-x, +-y, +-z (paper 3); `zero`: the zero wrench alone, which
     costs a quarter of the QP time at equal success (measurements, 3; again here)."""
@@ -55,6 +61,8 @@ class ClosureConfig:
     def __post_init__(self) -> None:
         for name in ("weight_decoupled", "weight_coupled"):
             refuse_outside(self, name, 0.0, 1e6)
+        refuse_outside(self, "shift", 0.0, 0.1)
+        refuse_outside(self, "turns", 0.0, 1000.0)
         refuse_outside(self, "torque_length", 0.0, 10.0)
         refuse_outside(self, "least_torque_length", 1e-3, 10.0)
         refuse_outside(self, "iterations", 1, 10_000)

@@ -162,15 +162,18 @@ def _depths(
         At the pre-grasp hands with the object and among the hands; hands with the table at the
         stage where they are deepest in it, (3, K).
     """
-    from bidexdata.simulation.scene import build_scene
+    from bidexdata.simulation.resize import SizedScenes
 
     depths = np.full((3, len(finite)), np.nan)
+    scenes: dict[bool, SizedScenes] = {}
     for one, every in zip(attempts, _rows_per_scene(attempts), strict=True):
         rows = every[finite[every]]
         if len(rows) == 0:
             continue
         on_table = one.scene.setting == "tabletop"
-        built = build_scene(hands, obj, one.scene.size, table=on_table)
+        if on_table not in scenes:
+            scenes[on_table] = SizedScenes(hands, obj, table=on_table)
+        built = scenes[on_table].at(one.scene.size)
         depths[:, rows] = _overlaps(built, obj, one.scene, stages[0].rows(rows))
         for pose in stages[1:] if on_table else ():
             table = _overlaps(built, obj, one.scene, pose.rows(rows))[2]

@@ -72,6 +72,12 @@ class RegionConfig:
     """Friction coefficient of the force score [-]. Measurements, 4; the paper gives none."""
     reranked: int = 400
     """Pairs best by force, and as many random ones, for the torque score. Measurements, 4."""
+    sets: int = 6
+    """Contacts are drawn so many times per region, and scores are means over the draws [-].
+    Measurements, 14; the paper draws once."""
+    disturbances: Literal["forces", "zero"] = "zero"
+    """What the QP of the torque score balances: six unit forces, or nothing but the hands' own
+    pressure, at a sixth of the cost and equal success (measurements, 14)."""
     iterations: int = 40
     """QP steps per pair of the torque score. Measurements, 2: ranks like 1500 (0.99)."""
     qp: QPConfig = field(default_factory=QPConfig)
@@ -101,6 +107,7 @@ class RegionConfig:
             "table_fingertip": (0.0, 0.1),
             "force_friction": (0.0, 10.0),
             "reranked": (1, 10_000_000),
+            "sets": (1, 1000),
             "iterations": (0, 100_000),
             "diversity": (0.0, 10.0),
             "kept": (1, 100_000),

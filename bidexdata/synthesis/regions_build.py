@@ -30,9 +30,9 @@ class Regions(NamedTuple):
     """Unit length."""
     reach: Float[np.ndarray, " A"]
     """Distance of the region's farthest point from its anchor [m]."""
-    contact_points: Float[np.ndarray, "A C 3"]
-    """Drawn from the region for the scores [m]."""
-    contact_normals: Float[np.ndarray, "A C 3"]
+    contact_points: Float[np.ndarray, "A S C 3"]
+    """S sets of C, drawn from the region for the scores [m]."""
+    contact_normals: Float[np.ndarray, "A S C 3"]
     """Outward."""
 
 
@@ -73,7 +73,8 @@ def build_regions(
     # Normals may cancel on a needle's tip; the anchor's own normal stands in there.
     mean = np.where(length > 1e-6, mean / np.maximum(length, 1e-6), normals[:count])
     offset = points[index] - points[:count, None]
-    drawn = np.take_along_axis(index, _draw(filled, config.contacts, rng), axis=1)
+    places = _draw(filled, config.sets * config.contacts, rng)
+    drawn = np.take_along_axis(index, places, axis=1).reshape(count, config.sets, config.contacts)
     return Regions(
         anchors=number[:count],
         anchor_points=points[:count].astype(np.float64),

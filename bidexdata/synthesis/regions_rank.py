@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from bidexdata.synthesis.regions_build import Regions
 from bidexdata.synthesis.regions_gap import PairFilter
 from bidexdata.wrench.qp import LEAST_TORQUE_LENGTH, TORQUE_LENGTH, contact_qp
+from bidexdata.wrench.qp_groups import axis_targets, zero_target
 from bidexdata.wrench.support import AXES, force_support
 
 if TYPE_CHECKING:
@@ -67,28 +68,38 @@ def torque_order(
 def force_scores(
     regions: Regions, pairs: Int[np.ndarray, "n 2"], friction: float
 ) -> Float[np.ndarray, " n"]:
-    """Give the paper's score of pairs: support functions of the two regions add [caps]."""
+    """Give the paper's score of pairs: support functions of the two regions add [caps].
+
+    They are means over the sets of contacts.
+    """
     support = force_support(-regions.contact_normals.astype(np.float64), AXES, mu=friction)
+    support = support.mean(axis=1)
     return (support[pairs[:, 0]] + support[pairs[:, 1]]).min(axis=1)
 
 
 def balance_residuals(
     regions: Regions, pairs: Int[np.ndarray, "n 2"], config: RegionConfig, longest: float
 ) -> Float[np.ndarray, " n"]:
-    """Give the coupled QP's residual over the six disturbances, both hands pressing (squared)."""
+    """Give the coupled QP's residual, both hands pressing: squared, mean over the sets of contacts."""
     if not len(pairs):
         return np.zeros(0)
-    shape = (len(pairs), -1, 3)
-    length = torque_length(longest)
+    sets = regions.contact_points.shape[1]
+
+    def both_hands(contacts: Float[np.ndarray, "A S C 3"]) -> Float[np.ndarray, "nS M 3"]:
+        of_sets = np.swapaxes(contacts[pairs], 1, 2)
+        return np.ascontiguousarray(of_sets).reshape(len(pairs) * sets, -1, 3)
+
     solution = contact_qp(
-        regions.contact_points[pairs].reshape(shape),
-        -regions.contact_normals[pairs].reshape(shape),
-        np.full(len(pairs), length, np.float32),
+        both_hands(regions.contact_points),
+        -both_hands(regions.contact_normals),
+        np.full(len(pairs) * sets, torque_length(longest), np.float32),
         config.qp,
         coupling="coupled",
+        targets=axis_targets() if config.disturbances == "forces" else zero_target(),
         iterations=config.iterations,
     )
-    return solution.residual.astype(np.float64).sum(axis=(1, 2))
+    residual = solution.residual.astype(np.float64).sum(axis=(1, 2))
+    return residual.reshape(len(pairs), sets).mean(axis=1)
 
 
 def torque_length(longest: float) -> float:

@@ -118,7 +118,7 @@ def zero_energy(**weights):
     return EnergyConfig(**{**dict.fromkeys(names, 0.0), **weights})
 
 
-def slopes(body, hands, start, energy, direction, *, closure=None, step=2e-3):
+def slopes(body, hands, start, energy, direction, *, closure=None, step=2e-3, circling=False):
     """Directional derivative by the chain of kernels and by central differences, (N,) each."""
     closure = closure or ClosureConfig(groups="decoupled", weight_decoupled=0.0)
 
@@ -139,11 +139,15 @@ def slopes(body, hands, start, energy, direction, *, closure=None, step=2e-3):
         )
         ws = allocate(body, hands, state, np.full(len(state.size), 0.15))
         qp, weights = closure_problem(ws, closure)
+        if circling:
+            closing = chain.circling_closure_term(ws, qp, weights, closure, energy, 1)
+        else:
+            closing = chain.closure_term(ws, qp, weights, closure.qp, 3000)
         calls = [
             *chain.kinematics(ws),
             *chain.surface(ws, energy),
             *chain.distance_term(ws, energy, 0.0),
-            *chain.closure_term(ws, qp, weights, closure.qp, 3000),
+            *closing,
             *chain.region_term(ws, energy),
             *chain.pad_term(ws, energy),
             *chain.chain_to_centres(ws, energy),
@@ -189,16 +193,18 @@ def test_the_gradient_of_each_energy_is_its_central_difference(body, hands, name
     np.testing.assert_allclose(exact, numeric, atol=SLOPE_TOLERANCE * scale)
 
 
-def test_the_gradient_of_the_closure_follows_its_central_difference(body, hands):
+@pytest.mark.parametrize("circling", [False, True])
+def test_the_gradient_of_the_closure_follows_its_central_difference(body, hands, circling):
     """Through QP, surface point and normal; curvature between pad and surface is neglected."""
     start = facing_start(hands, 8, distance=0.065)
     # One hand alone cannot balance its own pressure, so this closure energy is far from zero.
-    closure = ClosureConfig(groups="decoupled", weight_decoupled=10.0)
+    closure = ClosureConfig(groups="decoupled", weight_decoupled=10.0, iterations=3000)
     rng = np.random.default_rng(4)
     pairs = []
     for _ in range(4):
         direction = [rng.standard_normal(6 + h.coupling.shape[1]) * 0.3 for h in hands]
-        pairs.append(slopes(body, hands, start, zero_energy(), direction, closure=closure))
+        how = {"closure": closure, "circling": circling}
+        pairs.append(slopes(body, hands, start, zero_energy(), direction, **how))
     exact, numeric = np.concatenate(pairs, axis=1)
     assert np.abs(numeric).max() > 1e-2
     assert np.corrcoef(exact, numeric)[0, 1] > 0.97
