@@ -144,6 +144,7 @@ PAPER_IDLE = (
     Kept("regions.reranked", "of the torque score, which is off"),
     Kept("regions.iterations", "of the torque score, which is off"),
     Kept("regions.disturbances", "of the torque score, which is off"),
+    Kept("regions.refined", "of the torque score, which is off"),
     Kept("regions.qp", "of the torque score, which is off"),
     Kept("placement.table_roll", "of fingers down, which is off"),
     Kept("optimise.closure.weight_coupled", "of the coupled group, which is off"),

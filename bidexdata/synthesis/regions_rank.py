@@ -48,6 +48,8 @@ def torque_order(
 ) -> Ranking:
     """Rank the best pairs by force, and as many random ones, by minus the coupled QP residual.
 
+    The best by one draw of contacts are ranked again by all draws, and come before the others.
+
     Args:
         regions: All regions.
         allowed: The pairs to choose from.
@@ -60,9 +62,16 @@ def torque_order(
     lot = rng.permutation(len(allowed.pairs))
     rest = allowed.first(lot[~np.isin(lot, best)], config.reranked)
     pairs = allowed.pairs[np.concatenate([best, rest])]
-    score = -balance_residuals(regions, pairs, config, longest)
-    order = np.argsort(-score, kind="stable")
-    return pairs[order], score[order]
+    first = balance_residuals(regions, pairs, config, longest, slice(1))
+    order = np.argsort(first, kind="stable")
+    pairs, residual = pairs[order], first[order]
+    refined = np.arange(len(pairs)) < config.refined
+    if config.sets > 1:
+        more = balance_residuals(regions, pairs[refined], config, longest, slice(1, None))
+        residual[refined] += (config.sets - 1) * more
+        residual[refined] /= config.sets
+    order = np.lexsort((residual, ~refined))
+    return pairs[order], -residual[order]
 
 
 def force_scores(
@@ -78,15 +87,27 @@ def force_scores(
 
 
 def balance_residuals(
-    regions: Regions, pairs: Int[np.ndarray, "n 2"], config: RegionConfig, longest: float
+    regions: Regions,
+    pairs: Int[np.ndarray, "n 2"],
+    config: RegionConfig,
+    longest: float,
+    which: slice = slice(None),
 ) -> Float[np.ndarray, " n"]:
-    """Give the coupled QP's residual, both hands pressing: squared, mean over the sets of contacts."""
-    if not len(pairs):
-        return np.zeros(0)
-    sets = regions.contact_points.shape[1]
+    """Give the coupled QP's residual, both hands pressing: squared, mean over sets of contacts.
+
+    Args:
+        regions: Give the contacts.
+        pairs: Of regions.
+        config: QP, iterations and disturbances.
+        longest: Longest side of the object's bounding box [m].
+        which: Sets of contacts to take.
+    """
+    sets = len(range(regions.contact_points.shape[1])[which])
+    if not len(pairs) or not sets:
+        return np.zeros(len(pairs))
 
     def both_hands(contacts: Float[np.ndarray, "A S C 3"]) -> Float[np.ndarray, "nS M 3"]:
-        of_sets = np.swapaxes(contacts[pairs], 1, 2)
+        of_sets = np.swapaxes(contacts[pairs][:, :, which], 1, 2)
         return np.ascontiguousarray(of_sets).reshape(len(pairs) * sets, -1, 3)
 
     solution = contact_qp(
