@@ -161,6 +161,16 @@ def test_obj_takes_what_the_format_allows():
     """
     content = read("a.obj", text.replace("\n", "\r\n"))
     assert content.mesh.faces.tolist() == [[0, 2, 1], [0, 1, 3]]
+    assert content.group is not None
+    assert content.group.tolist() == [0, 1]
+
+
+def test_every_triangle_of_an_obj_knows_its_group():
+    points = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+    text = f"o bare\n{points}o a\nf 1 2 3 4\nf 1 2\ng\nf 1 2 3\ng empty\no\nf 1 3 4\nf 2 3 4\n"
+    content = read("a.obj", text)
+    assert content.group is not None
+    assert content.group.tolist() == [2, 2, 3, 5, 5]
 
 
 LINES = {
