@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import statistics
+import threading
 import time
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
@@ -15,11 +16,16 @@ PACKAGES = ("bidexdata", "warp-lang", "mujoco", "torch", "trimesh", "coacd", "nu
 
 
 def describe_machine() -> dict[str, Any]:
-    """CPU, cores, threads in use, and versions of the packages that do the work."""
+    """CPU, cores, threads, and versions of the packages that do the work.
+
+    Threads are those that this process has by now, of libraries too; a script that starts other
+    processes says so in its figures.
+    """
     return {
         "cpu": _cpu_model(),
         "cores": os.cpu_count(),
-        "threads": 1,
+        "threads": _threads(),
+        "omp_num_threads": os.environ.get("OMP_NUM_THREADS", "not set"),
         "python": platform.python_version(),
         **{name: _version(name) for name in PACKAGES},
     }
@@ -41,6 +47,11 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:  # run from a source tree, or not needed by the script
         return "not installed"
+
+
+def _threads() -> int:
+    tasks = Path("/proc/self/task")
+    return len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()
 
 
 def _cpu_model() -> str:

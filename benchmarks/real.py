@@ -1,25 +1,28 @@
-"""Verdicts a second on real meshes with two Shadow hands: `python -m benchmarks real`.
+"""Verdicts a second on real meshes with two Shadow hands: `python -m benchmarks.real [FOLDER]`.
 
-Rows 1, 8, 15, ... of an index of meshes, three sizes, the first five audit rows that have a grasp;
-model building included. Beside the rates: where the time goes, and what the naive loop of
-DexGraspBench needs for the same verdicts (a scene per grasp, closing again for every load, every
-load to its end or its first failing check).
+FOLDER holds `INDEX.csv`, whose column `file` names meshes in its folder `train`. Rows 1, 8, 15, ...,
+three sizes, the first five audit rows that have a grasp; model building included. Beside the rates:
+where the time goes, and what the naive loop of DexGraspBench needs for the same verdicts (a scene
+per grasp, closing again for every load, every load to its end or its first failing check).
 """
 
 from __future__ import annotations
 
+import argparse
 import csv
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.report import report
 from benchmarks.rows import TaskRows, over_tasks, pool, task_rows
 from bidexdata import Run
 from bidexdata.record import GraspBatch
@@ -30,8 +33,8 @@ from bidexdata.validation import Execution, Protocol, load_protocol, validate_gr
 from bidexdata.validation.stages import Grasp, close_hands, set_load
 from bidexdata.validation.validate import TESTS, grasp_of, scene_of_rows
 
-INDEX = Path("../shared/objects/INDEX.csv")
-MESHES = INDEX.parent / "train"
+MESHES = Path("../shared/objects")
+"""Where the meshes are looked for, unless another folder is named."""
 EVERY = 7
 SIZES = "0.3,0.5,0.8"
 PER_SCENE = 5
@@ -76,20 +79,28 @@ class Apart(NamedTuple):
     """Of it, in the order of `PARTS`, then of the noslip pass."""
 
 
-def missing() -> str:
+def missing(meshes: Path = MESHES) -> str:
     """Why this cannot run; empty where it can."""
+    lacking = [name for name in ("INDEX.csv", "train") if not (meshes / name).exists()]
+    if not lacking:
+        return ""
     return (
-        "" if INDEX.is_file() else f"{INDEX}, an index of meshes with a column `file`, is missing"
+        f"no {' and no '.join(lacking)} in {meshes.resolve()}, where real meshes are looked for; "
+        "`python -m benchmarks.real FOLDER` looks elsewhere"
     )
 
 
-def measure() -> dict[str, Any]:
+def measure(meshes: Path = MESHES) -> dict[str, Any]:
     """Prepare and synthesise, then time the validator for both tests."""
     with tempfile.TemporaryDirectory() as folder:
         at = Path(folder)
-        chosen = _chosen_meshes(at / "meshes.csv")
+        chosen = _chosen_meshes(meshes, at / "meshes.csv")
         _bidexdata("prepare", at / "meshes.csv", "--out", at / "LIB")
-        found: dict[str, Any] = {"meshes": chosen, "grasps_per_scene": PER_SCENE}
+        found: dict[str, Any] = {
+            "meshes": chosen,
+            "grasps_per_scene": PER_SCENE,
+            "workers": WORKERS,
+        }
         for test, setting in (("f", "floating"), ("l", "tabletop")):
             run = at / setting
             how = ("--hand", "shadow", "--sizes", SIZES, "--grasps", "10", "--setting", setting)
@@ -126,10 +137,10 @@ def measure_run(path: Path, test: str, protocol: str = "paper-1") -> dict[str, A
     }
 
 
-def _chosen_meshes(target: Path) -> int:
-    with INDEX.open() as file:
+def _chosen_meshes(meshes: Path, target: Path) -> int:
+    with (meshes / "INDEX.csv").open() as file:
         names = [row["file"] for row in csv.DictReader(file)][::EVERY]
-    rows = [[str((MESHES / name).resolve())] for name in names]
+    rows = [[str((meshes / "train" / name).resolve())] for name in names]
     with target.open("w", newline="") as file:
         csv.writer(file).writerows([["file"], *rows])
     return len(names)
@@ -219,3 +230,19 @@ def _time_steps(scene: SimScene, rules: Protocol, grasp: Grasp) -> tuple[float, 
         scene.step(1)
         steps.append(time.perf_counter() - start)
     return statistics.fmean(steps), tuple(parts / STEPS)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure on the meshes of a folder, print and save results/real.json."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", nargs="?", type=Path, default=MESHES, help="default: %(default)s")
+    meshes = parser.parse_args(arguments).folder
+    reason = missing(meshes)
+    if reason:
+        parser.exit(3, f"error: {reason}\n")
+    report("real", measure(meshes))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -9,7 +9,8 @@ from bidexdata.cli.report import percent, table
 
 LEGEND = (
     "means over selected rows where measured, with 95 % intervals: a bootstrap over objects where "
-    "there are ten or more, Student's t over objects or, within one object, over grasps otherwise"
+    "there are ten or more, Student's t over objects or, within one object, over grasps otherwise; drift seen: the "
+    "largest until the row's test ended, in full, early as the object rested, or by failing"
 )
 
 

@@ -28,8 +28,8 @@ SHOWN = {
     "q1": Shown("Q1", digits=4),
     "qp_certificate": Shown("QP certificate", digits=4),
     "load_margin": Shown("load margin"),
-    "drift_pos": Shown("drift", "mm", 1000, 1),
-    "drift_rot": Shown("drift", "deg", 180 / pi, 1),
+    "drift_pos": Shown("drift seen", "mm", 1000, 1),
+    "drift_rot": Shown("drift seen", "deg", 180 / pi, 1),
     "time": Shown("time", "s"),
 }
 BLOCKS = (HEADLINE, tuple(m for m in METRICS if m not in (*HEADLINE, *MOTION)), MOTION)

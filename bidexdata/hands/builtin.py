@@ -131,7 +131,7 @@ def build_hand(links: LinkFile, side: Side, prefix: str) -> mujoco.MjSpec:
     spec.compiler.degree = False
     bodies = {"": spec.worldbody}
     for link in links.all_links():
-        bodies[link.name] = _add_link(spec, bodies[link.parent], link, links, side, prefix)
+        bodies[link.name] = _add_link(bodies[link.parent], link, links, side, prefix)
     _add_actuators(spec, links, prefix)
     for a, b in links.exclude:
         spec.add_exclude(bodyname1=prefix + a, bodyname2=prefix + b)
@@ -152,7 +152,6 @@ def _named(link: Link, finger: str) -> Link:
 
 
 def _add_link(
-    spec: mujoco.MjSpec,
     parent: mujoco.MjsBody,
     link: Link,
     links: LinkFile,

@@ -35,17 +35,6 @@ class Spheres(NamedTuple):
     """[m], (K,)."""
 
 
-class SphereFit(NamedTuple):
-    """How well spheres stand for the collision geometry."""
-
-    protrusion: FloatArray
-    """How far each sphere stands out of its body's shapes at most [m], (K,)."""
-    gap: FloatArray
-    """Distance from surface samples to the nearest sphere of their body [m], 0 inside, (n,)."""
-    area: FloatArray
-    """Area of each sample [m^2], (n,)."""
-
-
 def fit_spheres(hand: Hand, model: mujoco.MjModel, settings: SphereFitSpec) -> Spheres:
     """Cover the collision geometry of a hand with spheres.
 
@@ -64,24 +53,6 @@ def fit_spheres(hand: Hand, model: mujoco.MjModel, settings: SphereFitSpec) -> S
         pos, radius = _cover(shapes, hand.contact_pos[pads], hand.contact_radius[pads], settings)
         found.append(Spheres(np.full(len(radius), body, np.int32), pos, radius))
     return Spheres(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
-
-
-def measure_fit(hand: Hand, model: mujoco.MjModel, spacing: float = 0.002) -> SphereFit:
-    """Measure how far spheres stand out of the geometry and how far the geometry stands out."""
-    protrusion = np.zeros(len(hand.sphere_body))
-    gaps, areas = [], []
-    for body, shapes in enumerate(body_shapes(model)):
-        mine = np.flatnonzero(hand.sphere_body == body)
-        samples, area = surface_samples(shapes, spacing)
-        deep = depth(shapes, hand.sphere_pos[mine])
-        if len(samples) and len(mine):
-            deep = np.maximum(deep, _gaps(samples, hand.sphere_pos[mine], 0.0).min(axis=1))
-        protrusion[mine] = hand.sphere_radius[mine] - deep
-        if len(samples):
-            gap = _gaps(samples, hand.sphere_pos[mine], hand.sphere_radius[mine])
-            gaps.append(gap.min(axis=0) if len(mine) else np.full(len(samples), np.inf))
-            areas.append(area)
-    return SphereFit(protrusion, np.maximum(np.concatenate(gaps), 0.0), np.concatenate(areas))
 
 
 def _cover(

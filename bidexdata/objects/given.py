@@ -1,27 +1,26 @@
 """Convex pieces that a source gives: they are kept as they are, without repair or decomposition.
 
 A file of pieces is an OBJ: each `o` or `g` group in it is a piece, and a file without groups is
-one. Coordinates are those of the file; OBJ has z up here, as in every reader.
+one. Coordinates are those of the file; OBJ has z up here.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bidexdata.objects.closed import as_mesh, convex_hull, thinnest
+from bidexdata.objects.components import compact, joined
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.loading import file_mesh, unit_mesh
 from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepared import TriangleMesh
+from bidexdata.objects.readers import read_content
 from bidexdata.objects.readers.inside import regular_bytes
-from bidexdata.objects.readers.text import plain_text
 from bidexdata.objects.sources.item import SourceItem
 from bidexdata.record.status import Status
 
@@ -54,7 +53,7 @@ def given_pieces(item: SourceItem, config: LoadConfig) -> GivenPieces:
     Raises:
         PrepareFailure: A file cannot be read or used, or no piece has a volume.
     """
-    raw = [piece for path in item.pieces for piece in obj_groups(path, config)]
+    raw = [piece for path in item.pieces for piece in file_groups(path, config)]
     corners = np.concatenate([p.vertices for p in raw])
     diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
     solid = [p for p in raw if len(p.vertices) >= 4 and thinnest(p.vertices) > _FLAT * diagonal]
@@ -66,7 +65,7 @@ def given_pieces(item: SourceItem, config: LoadConfig) -> GivenPieces:
     hulls = [as_mesh(convex_hull(p.vertices)) for p in solid]
     return GivenPieces(
         pieces=tuple(hulls),
-        whole=_joined(raw),
+        whole=joined(raw),
         radius=float(np.linalg.norm(corners, axis=1).max()),
         shown=_shown(item.shown, config, warnings),
         not_convex=sum(not _fills(p, h) for p, h in zip(solid, hulls, strict=True)),
@@ -74,52 +73,22 @@ def given_pieces(item: SourceItem, config: LoadConfig) -> GivenPieces:
     )
 
 
-def obj_groups(path: Path, config: LoadConfig) -> list[TriangleMesh]:
-    """The groups of an OBJ file that have faces, in its order; all of it where it names none.
+def file_groups(path: Path, config: LoadConfig) -> list[TriangleMesh]:
+    """The groups of a file that have faces, in its order; all of it where it names none.
 
     Raises:
         PrepareFailure: The file cannot be read or is no mesh.
     """
-    text = plain_text(regular_bytes(path, config.max_bytes)).decode("utf-8", errors="replace")
+    data = regular_bytes(path, config.max_bytes)
     try:
-        vertices, groups = _grouped(text)
-    except (ValueError, OverflowError) as err:
-        raise PrepareFailure(Status.UNREADABLE, f"{path.name}: {err}") from err
-    faces = np.array([t for group in groups for t in group], np.int64).reshape(-1, 3)
-    # Refuses what is no mesh; a piece without some of its faces is another piece.
-    unit_mesh(TriangleMesh(vertices, faces.astype(np.int32)), replace(config, broken_faces=0.0))
-    return [_compact(vertices, np.array(group, np.int64)) for group in groups if group]
-
-
-def _grouped(text: str) -> tuple[NDArray[np.float64], list[list[tuple[int, int, int]]]]:
-    """Vertices of an OBJ and the triangles of each group; polygons become fans."""
-    vertices: list[list[float]] = []
-    groups: list[list[tuple[int, int, int]]] = [[]]
-    for line in text.splitlines():
-        kind, *rest = line.partition("#")[0].split() or [""]
-        if kind == "v":
-            vertices.append([float(x) for x in rest[:3]])
-        elif kind in ("o", "g"):
-            groups.append([])
-        elif kind == "f":
-            corner = [int(c.split("/")[0]) for c in rest]
-            if 0 in corner:
-                raise ValueError("a face has the index 0; OBJ counts from 1")
-            corner = [c - 1 if c > 0 else len(vertices) + c for c in corner]
-            groups[-1] += [(corner[0], b, c) for b, c in pairwise(corner[1:])]
-    return np.array(vertices, np.float64).reshape(-1, 3), groups
-
-
-def _compact(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> TriangleMesh:
-    used, index = np.unique(faces, return_inverse=True)
-    return TriangleMesh(vertices[used], index.reshape(-1, 3).astype(np.int32))
-
-
-def _joined(meshes: list[TriangleMesh]) -> TriangleMesh:
-    starts = np.cumsum([0, *(len(m.vertices) for m in meshes[:-1])])
-    faces = [m.faces + start for m, start in zip(meshes, starts, strict=True)]
-    vertices = np.concatenate([m.vertices for m in meshes])
-    return TriangleMesh(vertices, np.concatenate(faces).astype(np.int32))
+        content = read_content(path, data, config)
+        # Refuses what is no mesh; a piece without some of its faces is another piece.
+        unit_mesh(content.mesh, replace(config, broken_faces=0.0))
+    except PrepareFailure as failure:
+        raise PrepareFailure(failure.status, f"{path.name}: {failure.reason}") from failure
+    vertices, faces = content.mesh
+    cuts = () if content.group is None else np.flatnonzero(np.diff(content.group)) + 1
+    return [compact(TriangleMesh(vertices, own)) for own in np.split(faces, cuts)]
 
 
 def _fills(piece: TriangleMesh, hull: TriangleMesh) -> bool:

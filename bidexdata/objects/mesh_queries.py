@@ -16,15 +16,14 @@ from bidexdata.devices import start_warp
 from bidexdata.objects.prepared import TriangleMesh
 
 _DEVICE = "cpu"
+_FARTHEST = 1e3
+"""Surfaces are looked for this far away; meshes have unit diagonal."""
 
 
 def distances(
-    mesh: TriangleMesh, points: NDArray[np.floating], max_distance: float = 1e3
+    mesh: TriangleMesh, points: NDArray[np.floating]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Find the closest surface points (P, 3) and the unsigned distances (P,) of points (P, 3).
-
-    A point farther than `max_distance` is its own closest point at that distance.
-    """
+    """Find the closest surface points (P, 3) and the unsigned distances (P,) of points (P, 3)."""
     import warp as wp
 
     from bidexdata.objects import mesh_queries_kernels as kernels
@@ -37,16 +36,14 @@ def distances(
         wp.launch(
             kernels.closest_points,
             dim=len(points),
-            inputs=[device_mesh.id, _shared(points, wp.vec3), float(max_distance)],
+            inputs=[device_mesh.id, _shared(points, wp.vec3), _FARTHEST],
             outputs=[_shared(closest, wp.vec3), _shared(distance, wp.float32)],
             device=_DEVICE,
         )
     return closest, distance
 
 
-def winding_distances(
-    mesh: TriangleMesh, points: NDArray[np.floating], max_distance: float = 1e3
-) -> NDArray[np.float32]:
+def winding_distances(mesh: TriangleMesh, points: NDArray[np.floating]) -> NDArray[np.float32]:
     """Signed distances (P,) of points (P, 3); the sign comes from the winding number.
 
     Negative where the mesh winds around the point more than half a time, so open and
@@ -63,7 +60,7 @@ def winding_distances(
         wp.launch(
             kernels.winding_distance,
             dim=len(points),
-            inputs=[device_mesh.id, _shared(points, wp.vec3), float(max_distance)],
+            inputs=[device_mesh.id, _shared(points, wp.vec3), _FARTHEST],
             outputs=[_shared(distance, wp.float32)],
             device=_DEVICE,
         )

@@ -59,10 +59,8 @@ class Repaired(NamedTuple):
     steps: tuple[str, ...]
     """What was done, in order; docs/sources.md lists the names."""
     warnings: tuple[str, ...]
-    source: TriangleMesh
-    """The input after the weld: what deviations are measured to."""
     hausdorff: float
-    """Hausdorff distance of the mesh to it, fraction of the diagonal."""
+    """Hausdorff distance of the mesh to the input after the weld, fraction of the diagonal."""
     thin: bool
     """Whether its walls are too thin to be taken where anything else is left."""
 
@@ -96,9 +94,7 @@ def repair(mesh: TriangleMesh, config: RepairConfig) -> Repaired:
         away = hausdorff(found.mesh, welded, config.hausdorff_samples)
         thin = thickness(found.mesh) < config.thin and not _is_convex(found.mesh)
         steps = ("weld", *found.steps)
-        tried = Repaired(
-            found.mesh, name or _rung(steps), steps, found.warnings, welded, away, thin
-        )
+        tried = Repaired(found.mesh, name or _rung(steps), steps, found.warnings, away, thin)
         best = tried if best is None else _better(best, tried, config)
         lids = "fill_holes" in best.steps and "remesh" not in best.steps
         near = config.near_lids if lids else config.near

@@ -18,22 +18,23 @@ def reason_row(status: Status, reason: str) -> Row:
     return {"status": int(status), "status_label": status.label, "reason": text}
 
 
-def leave_out(rows: Sequence[Row], folders: Mapping[int, Path], config: SelectConfig) -> None:
-    """Mark what the selection leaves out, in place, and name near duplicates of earlier inputs.
+def leave_out(rows: Sequence[Row], folders: Mapping[int, Path], config: SelectConfig) -> list[Row]:
+    """Mark in the rows of an index what the selection leaves out and what is like an earlier input.
 
     Args:
         rows: Of the index, one per input; only prepared ones are looked at.
         folders: Of the prepared objects, by number of the input.
         config: The selection.
     """
+    marked = list(rows)
     for number in folders:
         reason = outside(rows[number], config)
         if reason:
-            rows[number].update(reason_row(Status.NOT_SELECTED, reason))
-    left = [n for n in sorted(folders) if rows[n]["status"] == Status.OK]
+            marked[number] = rows[number] | reason_row(Status.NOT_SELECTED, reason)
+    left = [n for n in sorted(folders) if marked[n]["status"] == Status.OK]
     shapes = [read_document(folders[n])["provenance"] for n in left]
     for later, first in near_duplicates(shapes, config).items():
         row, name = rows[left[later]], str(rows[left[first]]["object_id"])
-        row["near_duplicate_of"] = name
-        if not config.near_duplicates:
-            row.update(reason_row(Status.NEAR_DUPLICATE, f"like {name}"))
+        alike = {} if config.near_duplicates else reason_row(Status.NEAR_DUPLICATE, f"like {name}")
+        marked[left[later]] = row | {"near_duplicate_of": name} | alike
+    return marked

@@ -183,7 +183,7 @@ def prepare_library(
     gone: set[str] = set()
     if not waiting:
         gone = _listed(out) - {str(r.get("object_id", "")) for r in rows}
-        leave_out(rows, folders, config.select)
+        rows = leave_out(rows, folders, config.select)
         write_index(out, rows, _identity(config), _asked(config))
         write_report(out, rows)
         parts.remove()

@@ -185,14 +185,28 @@ def pregrasp_penetration(
     return PregraspDepths(*depths)
 
 
-def list_contacts(
-    scene: SimScene, reach: float, full_broad_phase: bool
-) -> tuple[NDArray, NDArray, FloatArray, FloatArray, FloatArray]:
-    """List contacts of the state, the lower owner first.
+class Contacts(NamedTuple):
+    """All contacts of a state; K of them, world frame, the lower owner first."""
 
-    Returns:
-        Owners (K, 2), geoms (K, 2), distance (K,), point (K, 3), normal from the first geom to
-        the second (K, 3).
+    owners: NDArray[np.intp]
+    """As in `SimScene.geom_owner`, (K, 2)."""
+    geoms: NDArray[np.intp]
+    """(K, 2)."""
+    dist: FloatArray
+    """Signed distance [m], (K,)."""
+    points: FloatArray
+    """Middle between the two nearest points [m], (K, 3)."""
+    normals: FloatArray
+    """Unit normal from the first geom to the second, (K, 3)."""
+
+
+def list_contacts(scene: SimScene, reach: float, full_broad_phase: bool) -> Contacts:
+    """List the contacts of the scene's state.
+
+    Args:
+        scene: Its state is looked at.
+        reach: Pairs farther apart than this are not looked for [m].
+        full_broad_phase: As in `measure_distances`.
     """
     import mujoco
 
@@ -218,4 +232,4 @@ def list_contacts(
     swap = owners[:, 0] > owners[:, 1]
     geoms[swap], owners[swap] = geoms[swap][:, ::-1], owners[swap][:, ::-1]
     normals[swap] *= -1.0
-    return owners, geoms, dist, points, normals
+    return Contacts(owners, geoms, dist, points, normals)

@@ -89,7 +89,7 @@ def shifted_residual(
         return np.zeros(0)
     size, length = (wp.empty(rows[0], dtype=float, device=device) for _ in range(2))
     centres, slope, points, normals = (
-        wp.empty(rows, dtype=wp.vec3, device=device) for _ in range(4)
+        wp.zeros(rows, dtype=wp.vec3, device=device) for _ in range(4)
     )
     distance = wp.empty(rows, dtype=float, device=device)
     wp.launch(

@@ -254,6 +254,16 @@ def scaled_variation(
     return Variation(side * share, side * config.roll * share, tilt, shift)
 
 
+class HungHand(NamedTuple):
+    """Where a hand hangs in n starts, object frame."""
+
+    pos: Float[np.ndarray, "n 3"]
+    """[m]."""
+    R: Float[np.ndarray, "n 3 3"]
+    spheres: Float[np.ndarray, "n K 3"]
+    """Centres of its collision spheres [m]."""
+
+
 def hang_hand(
     shapes: tuple[StartShape, StartShape],
     flat: Bool[np.ndarray, " n"],
@@ -262,8 +272,8 @@ def hang_hand(
     direction: Float[np.ndarray, " 3"],
     drawn: Variation,
     config: PlacementConfig,
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n K 3"]]:
-    """Hang one hand over hull points: its pose and its spheres, all in the object frame.
+) -> HungHand:
+    """Hang one hand over hull points.
 
     Args:
         shapes: The hand in its open and in its curved posture, palm frame.
@@ -295,7 +305,7 @@ def hang_hand(
     palm = over + sideways + lift[:, None] * normal
     spheres = balls @ np.swapaxes(R, -1, -2) + palm[:, None]
     T_palm_hand = shapes[0].T_palm_hand
-    return palm + R @ T_palm_hand[:3, 3], R @ T_palm_hand[:3, :3], spheres
+    return HungHand(palm + R @ T_palm_hand[:3, 3], R @ T_palm_hand[:3, :3], spheres)
 
 
 def _preferred(scene: Scene, config: PlacementConfig, side: int) -> Float[np.ndarray, " 3"]:

@@ -40,7 +40,8 @@ class RegionConfig:
     radius: float = 0.08
     """Farthest point of a region from its anchor [m]. Paper 4.2."""
     points: int = 256
-    """Points per region. Paper 4.2, k."""
+    """Points per region, at most as many different ones as the object has within the radius.
+    Paper 4.2, k."""
     contacts: int = 5
     """Contacts drawn per region for the score. Paper 4.2, N."""
     same_side: float = -0.2

@@ -38,19 +38,30 @@ def reference(scene: SimScene, protocol: Protocol) -> Reference:
     return Reference(pos, quat)
 
 
-def check(scene: SimScene, protocol: Protocol, wanted: Reference) -> tuple[Status, float, float]:
-    """Compare the object with where it should be: status, displacement [m], angle [rad]."""
+class Checked(NamedTuple):
+    """What a check found."""
+
+    status: Status
+    """OK, SLIP, TURNED, UNSTABLE or BLOWN_UP."""
+    moved: float
+    """Displacement [m]; NaN when unstable."""
+    turned: float
+    """Rotation [rad]; likewise."""
+
+
+def check(scene: SimScene, protocol: Protocol, wanted: Reference) -> Checked:
+    """Compare the object with where it should be."""
     unstable = instability(scene, protocol)
     if unstable is not None:
-        return unstable, np.nan, np.nan
+        return Checked(unstable, np.nan, np.nan)
     now = reference(scene, protocol)
     moved = float(np.linalg.norm(now.pos - wanted.pos))
     turned = float(quat_angle(now.quat, wanted.quat[None])[0])
     if not moved < protocol.limit_pos:
-        return Status.SLIP, moved, turned
+        return Checked(Status.SLIP, moved, turned)
     if not turned < protocol.limit_rot:
-        return Status.TURNED, moved, turned
-    return Status.OK, moved, turned
+        return Checked(Status.TURNED, moved, turned)
+    return Checked(Status.OK, moved, turned)
 
 
 def instability(scene: SimScene, protocol: Protocol) -> Status | None:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -101,23 +102,34 @@ class Grip(Enum):
 
 def probe(scene: SimScene, protocol: Protocol, rules: RestRules) -> Grip:
     """Say how the grasp takes less friction under what acts now; the state stays as it is."""
-    moved, turned, speed = _with_friction(
-        scene, protocol, rules, rules.probe_friction, rules.probe_time
-    )
-    if moved < rules.firm_moved and turned < rules.firm_turned and speed < rules.firm_end:
+    way = _with_friction(scene, protocol, rules, rules.probe_friction, rules.probe_time)
+    if way.within(rules.firm_moved, rules.firm_turned, rules.firm_end):
         return Grip.FIRM
-    if moved < rules.settled_moved and turned < rules.settled_turned and speed < rules.settled_end:
+    if way.within(rules.settled_moved, rules.settled_turned, rules.settled_end):
         return Grip.SETTLED
-    if moved < rules.loose_moved:
+    if way.moved < rules.loose_moved:
         return Grip.FAIR
-    moved, *_ = _with_friction(scene, protocol, rules, rules.loose_friction, rules.loose_time)
-    return Grip.FAIR if moved < rules.loose_moved else Grip.LOOSE
+    way = _with_friction(scene, protocol, rules, rules.loose_friction, rules.loose_time)
+    return Grip.FAIR if way.moved < rules.loose_moved else Grip.LOOSE
+
+
+class _Way(NamedTuple):
+    """How far an object went in a probe; infinite when it was lost."""
+
+    moved: float
+    """Largest displacement [m]."""
+    turned: float
+    """Largest rotation [rad]."""
+    speed: float
+    """At the end [m/s]."""
+
+    def within(self, moved: float, turned: float, speed: float) -> bool:
+        return self.moved < moved and self.turned < turned and self.speed < speed
 
 
 def _with_friction(
     scene: SimScene, protocol: Protocol, rules: RestRules, share: float, duration: float
-) -> tuple[float, float, float]:
-    """Largest displacement [m] and rotation [rad], and the last speed [m/s]; infinite when lost."""
+) -> _Way:
     model, state = scene.model, saved_state(scene)
     friction = model.geom_friction[:, 0].copy()
     start = reference(scene, protocol)
@@ -127,11 +139,11 @@ def _with_friction(
     try:
         for _ in range(round(duration / rules.every)):
             scene.step(steps)
-            status, *way = check(scene, protocol, start)
-            if status is not Status.OK:
-                return np.inf, np.inf, np.inf
-            largest = np.maximum(largest, way)
-        return float(largest[0]), float(largest[1]), object_speed(scene)[0]
+            now = check(scene, protocol, start)
+            if now.status is not Status.OK:
+                return _Way(np.inf, np.inf, np.inf)
+            largest = np.maximum(largest, (now.moved, now.turned))
+        return _Way(float(largest[0]), float(largest[1]), object_speed(scene)[0])
     finally:
         model.geom_friction[:, 0] = friction
         restore_state(scene, state)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +20,34 @@ Statuses = NDArray[np.int8]
 
 REST = Slow(speed=0.003, turn=0.02, times=2.0, share=0.8)
 """A load may end for objects that are so slow."""
+
+
+class ObjectPoses(NamedTuple):
+    """Where N objects should be."""
+
+    pos: FloatArray
+    """(N, 3) [m]."""
+    quat: FloatArray
+    """(N, 4)."""
+
+
+class WorldChecks(NamedTuple):
+    """What `checks.check` finds, of N worlds."""
+
+    status: Statuses
+    moved: FloatArray
+    """Displacement [m], (N,); no number where the world is unstable."""
+    turned: FloatArray
+    """Rotation [rad], (N,); likewise."""
+
+    def unless(self, broken: Statuses) -> WorldChecks:
+        """The same, but for worlds that are known to have broken, (N,): not OK."""
+        bad = broken != Status.OK
+        return WorldChecks(
+            np.where(bad, broken, self.status),
+            np.where(bad, np.nan, self.moved),
+            np.where(bad, np.nan, self.turned),
+        )
 
 
 def advance(scene: SimScene, protocol: Protocol, worlds: Worlds, steps: int) -> Statuses:
@@ -54,9 +84,8 @@ def check_worlds(
     protocol: Protocol,
     qpos: FloatArray,
     qvel: FloatArray,
-    pos: FloatArray,
-    quat: FloatArray,
-) -> tuple[Statuses, FloatArray, FloatArray]:
+    wanted: ObjectPoses,
+) -> WorldChecks:
     """Compare objects with where they should be.
 
     Args:
@@ -64,23 +93,16 @@ def check_worlds(
         protocol: The limits.
         qpos: (N, nq).
         qvel: (N, nv).
-        pos: Where the objects should be [m], (N, 3).
-        quat: (N, 4).
-
-    Returns:
-        Status, displacement [m] and angle [rad], each (N,); not numbers where it is unstable.
+        wanted: Where the objects should be.
     """
     at = scene.object_qpos
     with np.errstate(invalid="ignore", over="ignore"):
-        moved = np.linalg.norm(qpos[:, at : at + 3] - pos, axis=1)
-        turned = quat_angle(quat, qpos[:, at + 3 : at + 7])
+        moved = np.linalg.norm(qpos[:, at : at + 3] - wanted.pos, axis=1)
+        turned = quat_angle(wanted.quat, qpos[:, at + 3 : at + 7])
     status = np.full(len(qpos), Status.OK, np.int8)
     status[~(turned < protocol.limit_rot)] = Status.TURNED
     status[~(moved < protocol.limit_pos)] = Status.SLIP
-    found = instability(scene, protocol, qpos, qvel)
-    broken = found != Status.OK
-    status[broken], moved[broken], turned[broken] = found[broken], np.nan, np.nan
-    return status, moved, turned
+    return WorldChecks(status, moved, turned).unless(instability(scene, protocol, qpos, qvel))
 
 
 def instability(
@@ -100,8 +122,7 @@ def rests(
     scene: SimScene,
     protocol: Protocol,
     qvel: FloatArray,
-    moved: FloatArray,
-    turned: FloatArray,
+    now: WorldChecks,
     left: FloatArray,
 ) -> Flags:
     """Whether objects are so slow that they stay within the limits to the end, (N,).
@@ -112,8 +133,7 @@ def rests(
         scene: Where everything lies in a state.
         protocol: The limits.
         qvel: (N, nv).
-        moved: Present displacement [m], (N,).
-        turned: Present rotation [rad], (N,).
+        now: Where the objects are.
         left: Time to the end of the load [s], (N,).
     """
     at = scene.object_qvel
@@ -122,6 +142,6 @@ def rests(
     return (
         (linear < REST.speed)
         & (angular < REST.turn)
-        & (moved + REST.times * left * linear < REST.share * protocol.limit_pos)
-        & (turned + REST.times * left * angular < REST.share * protocol.limit_rot)
+        & (now.moved + REST.times * left * linear < REST.share * protocol.limit_pos)
+        & (now.turned + REST.times * left * angular < REST.share * protocol.limit_rot)
     )

@@ -206,15 +206,6 @@ class Worlds:
         touched[contact.worldid.numpy()[:number][hit]] = True
         return touched
 
-    def load(self) -> tuple[int, int, int]:
-        """Contacts and broad-phase pairs of all worlds, and the most constraint rows of one."""
-        data = self._data
-        return (
-            int(data.nacon.numpy()[0]),
-            int(data.ncollision.numpy()[0]),
-            int(data.nefc.numpy().max()),
-        )
-
     def _array(self, name: str) -> Any:
         return self._model.opt.gravity if name == "gravity" else getattr(self._data, name)
 

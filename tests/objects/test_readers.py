@@ -161,6 +161,16 @@ def test_obj_takes_what_the_format_allows():
     """
     content = read("a.obj", text.replace("\n", "\r\n"))
     assert content.mesh.faces.tolist() == [[0, 2, 1], [0, 1, 3]]
+    assert content.group is not None
+    assert content.group.tolist() == [0, 1]
+
+
+def test_every_triangle_of_an_obj_knows_its_group():
+    points = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+    text = f"o bare\n{points}o a\nf 1 2 3 4\nf 1 2\ng\nf 1 2 3\ng empty\no\nf 1 3 4\nf 2 3 4\n"
+    content = read("a.obj", text)
+    assert content.group is not None
+    assert content.group.tolist() == [2, 2, 3, 5, 5]
 
 
 LINES = {
@@ -219,6 +229,21 @@ def glb(document: dict, body: bytes) -> bytes:
     chunks = struct.pack("<I4s", len(text), b"JSON") + text
     chunks += struct.pack("<I4s", len(body), b"BIN\0") + body
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def test_a_gltf_node_scales_then_turns_then_moves(box):
+    document, body = gltf_parts(box)
+    half = np.sqrt(0.5)
+    document["nodes"] = [
+        {"mesh": 0},
+        {"mesh": 0, "translation": [1, 2, 3], "rotation": [0, 0, 2 * half, 2 * half]},
+        {"mesh": 0, "rotation": [0, 0, half, half], "scale": [2, 1, 1]},
+    ]
+    document["scenes"] = [{"nodes": [0, 1, 2]}]
+    plain, moved, scaled = np.split(read("a.glb", glb(document, body)).mesh.vertices, 3)
+    x, y, z = plain.T
+    np.testing.assert_allclose(moved, np.stack([1 - y, 2 + x, 3 + z], axis=1), atol=1e-12)
+    np.testing.assert_allclose(scaled, np.stack([-y, 2 * x, z], axis=1), atol=1e-12)
 
 
 def test_quantised_and_sparse_positions_are_read(box):
@@ -417,6 +442,22 @@ def test_collada_transforms_apply_in_their_order_and_defaults_are_y_up_and_metre
     content = read("a.dae", collada(box, "", node, asset))
     assert content.metres_per_unit == 0.0254
     np.testing.assert_array_equal(content.R_world_file, np.eye(3))
+
+
+@pytest.mark.parametrize("axis", ["0 0 0", "nan 0 0", "1e308 1e308 0"])
+def test_a_collada_turn_about_no_axis_turns_nothing(box, axis):
+    node = f"<node><rotate>{axis} 1e308</rotate>{GEOMETRY}</node>"
+    np.testing.assert_allclose(read("a.dae", collada(box, "", node)).mesh.vertices, box.vertices)
+    refused("a.dae", collada(box, "", node.replace("1e308<", "inf<")))
+
+
+def test_a_collada_turn_may_be_any_number_of_times_around(box):
+    node = "<node><rotate>0 0 2 {}</rotate>{}</node>"
+    once, often = (
+        read("a.dae", collada(box, "", node.format(degrees, GEOMETRY))).mesh.vertices
+        for degrees in (-90, 270 + 360 * 10**6)
+    )
+    np.testing.assert_allclose(once, often, atol=1e-12)
 
 
 def test_collada_nodes_are_placed_where_they_are_named(box):

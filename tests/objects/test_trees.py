@@ -11,7 +11,7 @@ from made_dexgraspbench import BOX_FACES, box, write_obj
 from bidexdata.errors import BidexError, NotUsable, PathNotFound
 from bidexdata.objects.closed import as_manifold, union
 from bidexdata.objects.config import PrepareConfig
-from bidexdata.objects.given import obj_groups
+from bidexdata.objects.given import file_groups
 from bidexdata.objects.library import Library
 from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepare import prepare_object
@@ -225,7 +225,7 @@ def test_pieces_of_real_trees_are_kept(shared, small):
     items = resolve_sources([*trees, f"bodex:{peers / 'dexgraspbench' / 'objects'}"])
     assert {i.source_name for i in items} == counts.keys()
     for item in items:
-        groups = [g for path in item.pieces for g in obj_groups(path, small.load)]
+        groups = [g for path in item.pieces for g in file_groups(path, small.load)]
         obj = prepare_object(item, small)
         assert len(obj.pieces) == len(groups) == counts[item.source_name]
         for piece in obj.pieces:

@@ -127,14 +127,14 @@ def test_one_collision_pass_lists_what_a_full_forward_pass_lists(scene):
     pos = np.array([[0, 0, HALF + 0.03], [0.02, 0, HALF + 0.05]])
     pose = (*AT_ORIGIN, pos, random_quat(rng, (2,)), joints)
     set_pose(scene, *pose)
-    _, geoms, dist, points, normals = list_contacts(scene, 0.0, full_broad_phase=True)
+    found = list_contacts(scene, 0.0, full_broad_phase=True)
     set_pose(scene, *pose)
     mujoco.mj_forward(scene.model, scene.data)
-    assert len(dist) == scene.data.ncon > 0
-    np.testing.assert_array_equal(dist, scene.data.contact.dist)
-    np.testing.assert_array_equal(np.sort(geoms), np.sort(scene.data.contact.geom))
-    np.testing.assert_array_equal(points, scene.data.contact.pos)
-    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-12)
+    assert len(found.dist) == scene.data.ncon > 0
+    np.testing.assert_array_equal(found.dist, scene.data.contact.dist)
+    np.testing.assert_array_equal(np.sort(found.geoms), np.sort(scene.data.contact.geom))
+    np.testing.assert_array_equal(found.points, scene.data.contact.pos)
+    np.testing.assert_allclose(np.linalg.norm(found.normals, axis=1), 1, atol=1e-12)
     np.testing.assert_array_equal(scene.model.geom_gap, 0)
     np.testing.assert_array_equal(scene.model.body_margin, 0)
 

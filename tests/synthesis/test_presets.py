@@ -101,6 +101,17 @@ def test_every_field_that_the_paper_preset_keeps_exists_and_says_why():
         value_at(SynthConfig(), constant.key)
 
 
+@pytest.mark.parametrize(
+    ("stored", "size", "whole"), [(6000, 0.4, True), (6000, 0.8, False), (24000, 0.8, True)]
+)
+def test_a_region_has_its_256_points_where_the_library_has_enough(stored, size, whole):
+    """A cube has the most surface of all convex objects of one diagonal."""
+    cube = box_object(sides=(1.0, 1.0, 1.0), points=stored)
+    regions = build_regions(cube, size, load_preset("paper").regions, np.random.default_rng(0))
+    different = [len(np.unique(points, axis=0)) for points in regions.points]
+    assert (min(different) == 256) == whole
+
+
 def test_the_paper_preset_drops_pairs_by_the_gap_alone():
     """A thin plate, whose two sheets face each other and whose hull is itself."""
     obj = box_object(sides=(1.0, 0.8, 0.05))

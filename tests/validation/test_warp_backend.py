@@ -32,6 +32,8 @@ from bidexdata.validation import (
     load_protocol,
     validate_grasps,
     warp_backend,
+    warp_closing,
+    warp_holding,
     warp_worlds,
 )
 from bidexdata.validation.force_closure import force_closure
@@ -146,7 +148,7 @@ def test_grips_of_graded_strength_fail_in_the_same_direction_at_the_same_time(
     assert 0 < sum(v.status is Status.OK for v in found) < len(grasps)
     assert [(v.status, v.direction) for v in found] == [(v.status, v.direction) for v in wanted]
     np.testing.assert_array_equal([v.time for v in found], [v.time for v in wanted])
-    monkeypatch.setattr(warp_backend, "SMALL", 1)
+    monkeypatch.setattr(warp_holding, "SMALL", 1)
     counts = _counts_of_worlds(monkeypatch)
     apart = warp_verdicts(scene, heavy, grasps, device=device)
     assert len(counts) > 2  # closing, all loads, and fewer
@@ -163,7 +165,7 @@ def _counts_of_worlds(monkeypatch):
             counts.append(count)
             super().__init__(scene, parked, count, contacts, device)
 
-    monkeypatch.setattr(warp_backend, "Worlds", Counted)
+    monkeypatch.setattr(warp_closing, "Worlds", Counted)
     return counts
 
 
@@ -217,6 +219,29 @@ def test_full_buffers_are_noticed_grown_and_at_last_reported(scene, hands, devic
     monkeypatch.setattr(warp_backend, "MOST_CONTACTS", 9)
     with pytest.raises(warp_worlds.ContactOverflow, match="9 a world"):
         warp_verdicts(scene, PAPER, grasps, device=device)
+
+
+@needs_engine
+@on_devices
+def test_a_world_that_blows_up_under_a_load_is_no_success(scene, hands, device, monkeypatch):
+    """Buffers that it fills are those of all: it is parked, and its neighbour goes on."""
+    grasps = grasps_of(hands, [squeeze(hands), squeeze(hands)])
+    advance = warp_holding.advance
+
+    def blow_up(scene, protocol, worlds, steps):
+        blown = advance(scene, protocol, worlds, steps)
+        if not looks:
+            blown[0] = Status.BLOWN_UP
+            worlds.park(np.array([0]))
+        looks.append(steps)
+        return blown
+
+    looks = []
+    monkeypatch.setattr(warp_holding, "advance", blow_up)
+    broken, held = warp_verdicts(scene, PAPER, grasps, device=device)
+    assert (broken.status, broken.direction) == (Status.BLOWN_UP, 0)
+    assert broken.time == pytest.approx(PAPER.check_every)
+    assert held.status is Status.OK
 
 
 @needs_engine

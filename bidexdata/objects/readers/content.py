@@ -30,6 +30,8 @@ class Content(NamedTuple):
     metres_per_unit: float | None
     """None where the format does not say."""
     warnings: tuple[str, ...] = ()
+    group: NDArray[np.intp] | None = None
+    """Number of the named group of each face, (F,); None where the reader looks for none."""
 
 
 class Part(NamedTuple):

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bidexdata.frames import quat_from_rotation_vector, transform
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.polygons import triangulated
 from bidexdata.objects.readers.content import (
@@ -143,17 +144,15 @@ def _scale(element: Any) -> NDArray[np.float64]:
 
 
 def _rotate(element: Any) -> NDArray[np.float64]:
-    x, y, z, degrees = _words(element, 4)
-    axis = np.array([x, y, z])
+    words = _words(element, 4)
+    axis, degrees = words[:3], words[3]
+    if not np.isfinite(degrees):
+        raise unreadable(f"a <rotate> turns by {degrees} degrees")
     length = float(np.linalg.norm(axis))
     if not np.isfinite(length) or length == 0:
         return np.eye(4)
-    x, y, z = axis / length
-    angle = np.radians(degrees)
-    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    T = np.eye(4)
-    T[:3, :3] = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
-    return T
+    turn = axis / length * np.radians(degrees % 360)
+    return transform(np.zeros(3), quat_from_rotation_vector(turn))
 
 
 _TRANSFORMS: dict[str, Callable[[Any], NDArray[np.float64]]] = {

@@ -17,6 +17,7 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 from numpy.typing import NDArray
 
+from bidexdata.frames import transform, wxyz_from_xyzw
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.readers.content import (
@@ -148,16 +149,10 @@ def _roots(document: dict[str, Any], parents: NDArray[np.intp]) -> list[int]:
 def _transform(node: dict[str, Any]) -> NDArray[np.float64]:
     if "matrix" in node:
         return _numbers(node, "matrix", 16).reshape(4, 4).T
-    T = np.eye(4)
-    x, y, z, w = _numbers(node, "rotation", 4, (0.0, 0.0, 0.0, 1.0))
-    x, y, z, w = np.array([x, y, z, w]) / np.linalg.norm([x, y, z, w])
-    R = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    T[:3, :3] = np.array(R) * _numbers(node, "scale", 3, (1.0, 1.0, 1.0))
-    T[:3, 3] = _numbers(node, "translation", 3, (0.0, 0.0, 0.0))
+    q = _numbers(node, "rotation", 4, (0.0, 0.0, 0.0, 1.0))
+    quat = wxyz_from_xyzw(q / np.linalg.norm(q))
+    T = transform(_numbers(node, "translation", 3, (0.0, 0.0, 0.0)), quat)
+    T[:3, :3] *= _numbers(node, "scale", 3, (1.0, 1.0, 1.0))
     return T
 
 

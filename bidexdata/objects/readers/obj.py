@@ -1,4 +1,4 @@
-"""Wavefront OBJ: vertices and polygons; materials, groups, normals and textures are not read."""
+"""Wavefront OBJ: vertices, polygons and their groups; no materials, normals or textures."""
 
 from __future__ import annotations
 
@@ -9,21 +9,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.objects.config import LoadConfig
+from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.polygons import triangulated
 from bidexdata.objects.readers.content import Content, Part, check_faces, joined_parts, unreadable
 from bidexdata.objects.readers.text import bad_numbers, numbers, plain_text, shown, whole_numbers
+from bidexdata.record.status import Status
 
 
 def read_obj(path: Path, data: bytes, config: LoadConfig) -> Content:
     """Read an OBJ file.
 
     Raises:
-        PrepareFailure: A line is no vertex or face, or a face names a vertex that does not exist.
+        PrepareFailure: A line is no vertex or face, a face names a vertex that does not exist, or
+            there is none.
     """
     lines = plain_text(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").split(b"\n")
     points: list[bytes] = []
     polygons: list[bytes] = []
-    point_lines, polygon_lines, before = [], [], []
+    point_lines, polygon_lines, before, owner = [], [], [], []
+    group = 0
     for number, raw in enumerate(lines, 1):
         line = raw.lstrip()
         head = line[:2]
@@ -34,21 +38,17 @@ def read_obj(path: Path, data: bytes, config: LoadConfig) -> Content:
             polygons.append(line[2:])
             polygon_lines.append(number)
             before.append(len(points))
+            owner.append(group)
+        elif head.rstrip() in (b"o", b"g"):
+            group += 1
     if not polygons:
-        return Content(
-            joined_parts([Part(np.zeros((len(points), 3)), _NONE)], config), np.eye(3), None
-        )
+        raise PrepareFailure(Status.NO_FACES, f"{len(points)} vertices and no face")
     check_faces(len(polygons), config)
     vertices = _vertices(points, point_lines)
     corners, counts = _corners(polygons, polygon_lines, len(vertices), np.array(before))
-    return Content(
-        joined_parts([Part(vertices, triangulated(vertices, corners, counts))], config),
-        np.eye(3),
-        None,
-    )
-
-
-_NONE = np.zeros((0, 3), np.int64)
+    mesh = joined_parts([Part(vertices, triangulated(vertices, corners, counts))], config)
+    group = np.repeat(owner, np.maximum(counts - 2, 0))
+    return Content(mesh, np.eye(3), None, group=group)
 
 
 def _vertices(points: list[bytes], lines: list[int]) -> NDArray[np.float64]:
