@@ -93,7 +93,7 @@ _SENTENCES = {
     Status.NO_CONTACT: "no hand touched the object after closing",
     Status.THROWN: "the object left the limits while the hands were closing",
     Status.SLIP: "the object moved farther than the limit under load",
-    Status.TURNED: "the object turned farther than the limit under load, before it moved as far",
+    Status.TURNED: "the object turned farther than the limit under load",
     Status.UNSTABLE: "the simulation became unstable: numbers that are not finite, or a warning",
     Status.BAD_POSE: "the stored pose is not finite, not a rotation or absurdly far away",
     Status.NO_SCENE: "the simulator refuses to build a scene of the object at this size",
