@@ -21,6 +21,7 @@ from bidexdata.synthesis.regions_rank import (
     balance_residuals,
     diverse,
     force_scores,
+    torque_order,
 )
 from bidexdata.wrench.support import sampled_score
 
@@ -161,6 +162,22 @@ def test_the_torque_ranking_starts_with_pairs_that_balance():
     drawn = balance_residuals(regions, lot.anchors, CONFIG, longest)
     assert np.median(ranked) < 0.1 * np.median(drawn)
     assert np.all(r.score <= 0)
+
+
+def test_the_first_pairs_are_ranked_by_all_draws_and_the_others_come_after_them():
+    config = replace(CONFIG, reranked=60, refined=30)
+    regions = regions_of(BOX, 0.5, config)
+    usable = accessible_anchors(BOX, 0.5, regions, config)
+    allowed = PairFilter(regions, usable, config.gap, 1.0)
+    pairs, score = torque_order(regions, allowed, config, 0.3, np.random.default_rng(0))
+    first, rest = pairs[: config.refined], pairs[config.refined :]
+    every = balance_residuals(regions, first, config, 0.3)
+    np.testing.assert_allclose(-score[: config.refined], every, rtol=1e-4, atol=1e-9)
+    one = balance_residuals(regions, rest, config, 0.3, slice(1))
+    np.testing.assert_allclose(-score[config.refined :], one, rtol=1e-4, atol=1e-9)
+    assert np.all(np.diff(score[: config.refined]) <= 0)
+    assert np.all(np.diff(score[config.refined :]) <= 0)
+    assert balance_residuals(regions, first, config, 0.3, slice(1)).max() <= one.min() + 1e-6
 
 
 def test_pairs_come_out_the_same_for_the_same_seed():
