@@ -30,13 +30,12 @@ CRITERIA = {
 
 def auc(figure: NDArray[np.float64], failed: NDArray[np.bool_]) -> float:
     """Chance that a failed row has the larger figure than a passed one; ties count half."""
-    from scipy.stats import rankdata
+    from scipy.stats import mannwhitneyu
 
-    bad = int(failed.sum())
-    if not 0 < bad < len(failed):
+    bad, good = figure[failed], figure[~failed]
+    if not len(bad) or not len(good):
         return float("nan")
-    above = rankdata(figure)[failed].sum() - bad * (bad + 1) / 2
-    return float(above / (bad * (len(failed) - bad)))
+    return float(mannwhitneyu(bad, good).statistic / (len(bad) * len(good)))
 
 
 def measure(path: str, protocol: str, test: str) -> dict[str, Any]:
