@@ -23,8 +23,8 @@ def table(
     """Write one flat row per grasp of a run or release, or per input file of a library.
 
     docs/fields.md lists the columns and their units: SI, but for `size_mm`, codes, and what is a share
-    of the diagonal in a library. An empty cell means that nothing is
-    known, for a verdict that the test was not run.
+    of the diagonal in a library. An empty cell means that nothing is known, for a verdict that the
+    test was not run.
 
     --json keys: out, kind, n (rows), columns, protocol.
     """

@@ -41,7 +41,8 @@ class ClosureConfig:
     tangent plane, each at its own pace, so that the balance does not hang on exact places.
     Measurements, 14; the paper has 0."""
     turns: float = 16.0
-    """Mean number of circles during the approach [-]. Measurements, 14."""
+    """Mean number of circles during the approach [-]. The value of measurements, 14, not varied
+    there."""
     disturbances: Disturbances = "zero"
     """`forces`: six unit forces +-x, +-y, +-z (paper 3); `zero`: the zero wrench alone, which
     costs a quarter of the QP time at equal success (measurements, 3; again here)."""

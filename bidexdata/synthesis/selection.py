@@ -41,7 +41,7 @@ class SelectionConfig:
     shifted_sets: int = 12
     """Moved sets of contacts per attempt [-]. Measurements, 14."""
     shifted_iterations: int = 60
-    """QP iterations of each [-]. Measurements, 14."""
+    """QP iterations of each [-]. The value of measurements, 14, not varied there."""
     residual_iterations: int = 150
     """QP iterations of the final residual and forces [-]. Measurements, 4."""
     contact_tolerance: float = 0.010
