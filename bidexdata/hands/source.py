@@ -146,7 +146,7 @@ def _cut_at_root(source: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
     hand.modelname = source.modelname
     hand.copy_during_attach = True
     # Attached values lose against the parent's, so the parent takes them over first.
-    hand.option.cone, hand.option.impratio = source.option.cone, source.option.impratio
+    hand.option = source.option
     hand.compiler.degree, hand.compiler.autolimits = False, source.compiler.autolimits
     hand.worldbody.add_frame().attach_body(body, _MARK, "")
     hand.meshdir = source.meshdir

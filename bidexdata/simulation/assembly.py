@@ -74,7 +74,7 @@ def _add_hand(spec: mujoco.MjSpec, hand: Hand, index: int, settings: SceneSettin
 
     child = hand.make_spec()
     # Options of the scene are set on the compiled model: equal ones here keep `attach` quiet.
-    child.option.cone, child.option.impratio = spec.option.cone, spec.option.impratio
+    child.option = spec.option
     _drop_pictures(child)
     for body in child.bodies:
         body.gravcomp = settings.hand_gravity_compensation

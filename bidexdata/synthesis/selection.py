@@ -48,8 +48,8 @@ class SelectionConfig:
     """A pad farther from the surface at the grasp is a lost contact [m]. Ours: the squeeze moves
     pads by about 10 mm, so what is farther stays off."""
     contacts_needed: int = 3
-    """Contacts per hand within the tolerance [-], fewer is a failed attempt. Ours: two forces
-    cannot hold a hand's share of an object against turning."""
+    """Contacts per hand within the tolerance [-], fewer is a failed attempt; all of them where a
+    hand has fewer. Ours: two forces cannot hold a hand's share of an object against turning."""
 
     def __post_init__(self) -> None:
         refuse_outside(self, "candidates_per_grasp", 1, 1000)
@@ -90,7 +90,8 @@ def judge(
     """
     with np.errstate(invalid="ignore"):
         touching = np.sum(np.abs(gaps) <= config.contact_tolerance, axis=2)
-        lost = np.min(touching, axis=1) < config.contacts_needed
+        needed = np.minimum(config.contacts_needed, np.sum(np.isfinite(gaps), axis=2))
+        lost = np.any(touching < needed, axis=1)
         deep = depth > config.start_depth
         crossed = among_hands > config.hands_depth
         sunk = table > config.table_depth
