@@ -57,7 +57,7 @@ def mirrored_hand(spec: HandSpec, written: Hand, folder: Path) -> Hand:
 
 
 def _bare_hand(spec: HandSpec, side: Side, mjcf: HandMjcf, tree: HandTree) -> Hand:
-    """Everything that the model and the spec's names give: contacts and spheres are empty."""
+    """Everything that the model and the spec's names give: no contacts, no spheres, all at zero."""
     prefix = spec.side(side).prefix
     for finger, bodies in spec.fingers.items():
         for body in bodies:
@@ -84,14 +84,16 @@ def _bare_hand(spec: HandSpec, side: Side, mjcf: HandMjcf, tree: HandTree) -> Ha
         sphere_radius=np.zeros(0),
         self_pairs=np.zeros((0, 2), np.int32),
         T_hand_palm=palm_frame_of(spec, side),
-        posture_open=_posture(spec.postures.open, tree, prefix, "open"),
-        posture_curved=_posture(spec.postures.curved, tree, prefix, "curved"),
+        posture_open=np.zeros(len(tree.joint_names)),
+        posture_curved=np.zeros(len(tree.joint_names)),
         make_spec=mjcf.make_spec,
         licence_text=mjcf.licence_text,
+        prefix=prefix,
     )
 
 
 def _with_pads(spec: HandSpec, hand: Hand) -> Hand:
+    """Add the contact points and the postures."""
     prefix = spec.side(hand.side).prefix
     body = [_index(hand.body_names, prefix + c.body, f"contact {c.name}") for c in spec.contacts]
     normal = np.array([c.normal for c in spec.contacts]).reshape(-1, 3)
@@ -103,20 +105,23 @@ def _with_pads(spec: HandSpec, hand: Hand) -> Hand:
         contact_radius=np.array([c.radius for c in spec.contacts]),
         contact_normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
         contact_finger=tuple(c.finger for c in spec.contacts),
+        posture_open=_posture(spec.postures.open, hand, "open"),
+        posture_curved=_posture(spec.postures.curved, hand, "curved"),
     )
 
 
-def _posture(angles: Mapping[str, float], tree: HandTree, prefix: str, name: str) -> FloatArray:
-    posture = np.zeros(len(tree.joint_names))
+def _posture(angles: Mapping[str, float], hand: Hand, name: str) -> FloatArray:
+    posture = np.zeros(len(hand.joint_names))
     for joint, angle in angles.items():
-        posture[_index(tree.joint_names, prefix + joint, f"posture {name}")] = angle
-    limits = zip(tree.joint_names, posture, tree.joint_lower, tree.joint_upper, strict=True)
-    for joint, angle, low, high in limits:
+        posture[_index(hand.joint_names, hand.prefix + joint, f"posture {name}")] = angle
+    for joint, angle, low, high in zip(
+        hand.joint_names, posture, hand.joint_lower, hand.joint_upper, strict=True
+    ):
         if not low <= angle <= high:
-            given = "" if joint.removeprefix(prefix) in angles else " (not named, so zero)"
+            given = "" if joint.removeprefix(hand.prefix) in angles else " (not named, so zero)"
             raise BadConfig(
-                f"posture {name}: {joint.removeprefix(prefix)} = {angle:g}{given} lies outside its "
-                f"limits [{low:g}, {high:g}] rad"
+                f"posture {name}: {joint.removeprefix(hand.prefix)} = {angle:g}{given} lies outside "
+                f"its limits [{low:g}, {high:g}] rad"
             )
     return posture
 

@@ -1,9 +1,10 @@
 """The other side of a hand: the mirror image of what the spec says of the side it is written for.
 
-A spec gives contact points, palm frame and spheres once. They are reflected in the hand frame, or
-from palm frame to palm frame where the models of the two sides have different hand frames, and
-handed to the bodies of the other side's own model. Where a body's collision geometry is not the
-mirror image of its twin's, its spheres are fitted to what it has.
+A spec gives contact points, palm frame, postures and spheres once. They are reflected in the hand
+frame, or from palm frame to palm frame where the models of the two sides have different hand frames,
+and handed to the bodies and joints of the other side's own model. Where a body's collision geometry
+is not the mirror image of its twin's, its spheres are fitted to what it has; where a joint turns the
+other way, its angles have the other sign.
 """
 
 from __future__ import annotations
@@ -75,17 +76,25 @@ def twin_bodies(spec: HandSpec, written: Hand, other: Hand) -> IntArray:
         BadConfig: The models have different bodies.
     """
     theirs, mine = spec.side(written.side).prefix, spec.side(other.side).prefix
-    names = [mine + name.removeprefix(theirs) for name in written.body_names]
-    for name in names:
-        if name not in other.body_names:
-            raise BadConfig(
-                f"the {other.side} side lacks the body {name!r}, which the {written.side} side has "
-                f"a twin of; it has {', '.join(other.body_names)}"
-            )
-    if len(names) < len(other.body_names):
-        extra = sorted(set(other.body_names) - set(names))
-        raise BadConfig(f"the {other.side} side has bodies without a twin: {', '.join(extra)}")
-    return np.array([other.body_names.index(name) for name in names], np.int32)
+    return _twins(written.body_names, other.body_names, (theirs, mine), f"the {other.side} side")
+
+
+def twin_joints(spec: HandSpec, written: Hand, other: Hand) -> tuple[IntArray, FloatArray]:
+    """Find the joint of `other` that each of the written side's has as its twin.
+
+    Returns:
+        Its index in `other`, (J,), and the factor of its angle: 1, or -1 where it turns the other
+        way, (J,). A reflection M turns a rotation about a into one by the same angle about -M a.
+
+    Raises:
+        BadConfig: The models have different joints.
+    """
+    theirs, mine = spec.side(written.side).prefix, spec.side(other.side).prefix
+    where = f"the {other.side} side"
+    twin = _twins(written.joint_names, other.joint_names, (theirs, mine), where)
+    image = -_axes(written) @ mirror_image(spec)[:3, :3].T
+    along = np.sum(_axes(other)[twin] * image, axis=1)
+    return twin, np.where(along < 0, -1.0, 1.0)
 
 
 def twin_transforms(spec: HandSpec, written: Hand, other: Hand) -> FloatArray:
@@ -113,6 +122,9 @@ def mirrored(
         models: Compiled models of the written and of the other side.
     """
     twin, T = twin_bodies(spec, written, bare), twin_transforms(spec, written, bare)
+    joint, factor = twin_joints(spec, written, bare)
+    order = np.argsort(joint)
+    free = [n.removeprefix(bare.prefix) not in spec.coupled for n in bare.joint_names]
     contact, sphere = T[written.contact_body], T[written.sphere_body]
     hand = replace(
         bare,
@@ -126,6 +138,9 @@ def mirrored(
         sphere_pos=_moved(sphere, written.sphere_pos),
         sphere_radius=written.sphere_radius,
         self_pairs=written.self_pairs,
+        posture_open=(factor * written.posture_open)[order],
+        posture_curved=(factor * written.posture_curved)[order],
+        coupling=bare.coupling * factor[order][:, None] * factor[order][free],
     )
     theirs, mine = body_shapes(models[0]), body_shapes(models[1])
     off = [shape_difference(theirs[b], mine[twin[b]], T[b]) for b in range(len(twin))]
@@ -163,6 +178,26 @@ def _refitted(spec: HandSpec, hand: Hand, model: mujoco.MjModel, bodies: IntArra
         sphere_radius=np.concatenate([hand.sphere_radius[kept], own.radius[new]]),
     )
     return replace(hand, self_pairs=self_pairs(hand, model))
+
+
+def _twins(
+    written: tuple[str, ...], other: tuple[str, ...], prefixes: tuple[str, str], where: str
+) -> IntArray:
+    """Index in `other` of the names of `written` with the other prefix, (n,)."""
+    names = [prefixes[1] + name.removeprefix(prefixes[0]) for name in written]
+    if set(names) != set(other):
+        lacks, extra = set(names) - set(other), set(other) - set(names)
+        said = [f"lacks {', '.join(sorted(lacks))}"] if lacks else []
+        said += [f"has {', '.join(sorted(extra))} besides"] if extra else []
+        raise BadConfig(f"{where} {' and '.join(said)}; both sides need the same names")
+    return np.array([other.index(name) for name in names], np.int32)
+
+
+def _axes(hand: Hand) -> FloatArray:
+    """Axes of the joints in the hand frame at zero angles, (J, 3)."""
+    _, rot = forward_kinematics(hand, np.zeros(len(hand.joint_names)))
+    mover = [int(np.flatnonzero(hand.body_joint == j)[0]) for j in range(len(hand.joint_names))]
+    return np.einsum("jik,jk->ji", rot[mover], hand.joint_axis)
 
 
 def _zero_poses(hand: Hand) -> FloatArray:
