@@ -142,6 +142,7 @@ def mirrored(
         posture_curved=(factor * written.posture_curved)[order],
         coupling=bare.coupling * factor[order][:, None] * factor[order][free],
     )
+    _require_within(hand)
     theirs, mine = body_shapes(models[0]), body_shapes(models[1])
     off = [shape_difference(theirs[b], mine[twin[b]], T[b]) for b in range(len(twin))]
     differ = twin[np.array(off) > SAME_SHAPE]
@@ -178,6 +179,19 @@ def _refitted(spec: HandSpec, hand: Hand, model: mujoco.MjModel, bodies: IntArra
         sphere_radius=np.concatenate([hand.sphere_radius[kept], own.radius[new]]),
     )
     return replace(hand, self_pairs=self_pairs(hand, model))
+
+
+def _require_within(hand: Hand) -> None:
+    """Refuse mirrored postures that are beyond the other side's own limits."""
+    for posture, name in ((hand.posture_open, "open"), (hand.posture_curved, "curved")):
+        beyond = np.flatnonzero((posture < hand.joint_lower) | (posture > hand.joint_upper))
+        if len(beyond):
+            j = beyond[0]
+            raise BadConfig(
+                f"posture {name}: {hand.joint_names[j]} = {posture[j]:g}, mirrored for the "
+                f"{hand.side} side, lies outside its limits [{hand.joint_lower[j]:g}, "
+                f"{hand.joint_upper[j]:g}] rad"
+            )
 
 
 def _twins(

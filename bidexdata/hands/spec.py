@@ -154,7 +154,9 @@ class HandSpec:
                 "the other side may give one under `sides`"
             )
         if not self.contacts:
-            raise BadConfig(f"hand {self.name}: contacts is empty; a hand touches with at least one")
+            raise BadConfig(
+                f"hand {self.name}: contacts is empty; a hand touches with at least one"
+            )
         names = [contact.name for contact in self.contacts]
         if len(set(names)) != len(names):
             raise BadConfig(f"hand {self.name}: two contacts have the same name")

@@ -23,6 +23,7 @@ from bidexdata.pictures.drawing import (
 from bidexdata.pictures.picture import Pixels
 from bidexdata.pictures.raycast import RayScene
 from bidexdata.pictures.scene import Colour, Part, arrow, sphere
+from bidexdata.pictures.sheet import Caption, Tile
 from bidexdata.pictures.views import subject_points
 
 Shown = Literal["meshes", "spheres"]
@@ -62,9 +63,7 @@ def hand_view_parts(hand: Hand, joints: NDArray[np.float64], shown: Shown) -> li
         colour = HAND_COLOURS[hand.side]
         balls = zip(points.sphere[count:], hand.sphere_radius[count:], strict=True)
         parts = [sphere(at, float(radius), colour, hand.side) for at, radius in balls]
-    for at, normal, radius in zip(
-        points.contact, points.normal, hand.contact_radius, strict=True
-    ):
+    for at, normal, radius in zip(points.contact, points.normal, hand.contact_radius, strict=True):
         parts.append(sphere(at, float(radius), CONTACT_COLOUR, "contact"))
         tip = at + (radius + NORMAL_LENGTH) * normal
         shaft = arrow(at, tip, _ARROW_RADIUS, CONTACT_COLOUR, "contact")
@@ -77,6 +76,19 @@ def hand_view_parts(hand: Hand, joints: NDArray[np.float64], shown: Shown) -> li
     return parts
 
 
+def hand_tiles(hand: Hand) -> list[Tile]:
+    """Draw a hand from all sides, open as it looks and curved as spheres, with captions."""
+    rows: tuple[tuple[str, Shown, NDArray[np.float64]], ...] = (
+        ("open posture", "meshes", hand.posture_open),
+        ("curved posture, spheres", "spheres", hand.posture_curved),
+    )
+    return [
+        Tile(draw_hand(hand, joints, view, shown=shown), Caption(f"{hand.side}, {view}", (words,)))
+        for words, shown, joints in rows
+        for view in DIRECTIONS
+    ]
+
+
 def draw_hand(
     hand: Hand,
     joints: NDArray[np.float64],
@@ -84,7 +96,7 @@ def draw_hand(
     *,
     shown: Shown = "meshes",
     width: int = 360,
-    height: int = 300,
+    height: int = 270,
     device: str = "cpu",
 ) -> Pixels:
     """Draw a hand alone.
