@@ -91,11 +91,9 @@ def check_hand(name: str, picture: Path, *, seed: int = 0) -> HandReport:
 
     start = time.monotonic()
     spec = hand_spec(name)
-    findings, hands = _loaded(name, spec)
+    findings, hands = inspect_hand(name)
     trial = drawn = None
     if hands:
-        findings += _of_hands(spec, hands)
-        findings.append(_postures(hands))
         made, trial = _grasp(hands, findings, seed)
         findings.append(made)
         _draw(spec.name, hands, trial, picture)
@@ -103,6 +101,26 @@ def check_hand(name: str, picture: Path, *, seed: int = 0) -> HandReport:
     seen = {f.check for f in findings}
     findings += [Finding(c, None, "not made: see above") for c in CHECKS if c not in seen]
     return HandReport(spec.name, tuple(findings), drawn, trial, time.monotonic() - start)
+
+
+def inspect_hand(name: str) -> tuple[list[Finding], list[Hand]]:
+    """Make every check but the grasp.
+
+    Returns:
+        What was found, in order, and the sides, the written one first; no side where the hand
+        cannot be loaded.
+
+    Raises:
+        UnknownName: No hand has this name and no file this path.
+        BadConfig: The file is no spec.
+    """
+    from bidexdata.hands.registry import hand_spec
+
+    spec = hand_spec(name)
+    findings, hands = _loaded(name, spec)
+    if hands:
+        findings += [*_of_hands(spec, hands), _postures(hands)]
+    return findings, hands
 
 
 def _loaded(name: str, spec: HandSpec) -> tuple[list[Finding], list[Hand]]:
