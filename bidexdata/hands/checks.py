@@ -69,6 +69,24 @@ def check_limits(spec: HandSpec, side: str, tree: HandTree) -> Finding:
     return worst("limits", faults, f"{count} joints, both postures within their limits")
 
 
+def check_armature(hand: Hand, model: mujoco.MjModel) -> Finding:
+    """Every joint has the inertia of its motor."""
+    without = [n for n, inertia in zip(hand.joint_names, model.dof_armature, strict=True)
+               if not inertia > 0]  # fmt: skip
+    if without:
+        count = f"{len(without)} of {len(hand.joint_names)} joints"
+        return Finding(
+            "armature",
+            False,
+            f"{hand.side}: {count} have no armature ({without[0]} ...), and fingers without their "
+            "motors' inertia throw light objects; give joint_armature [kg m^2], the rotor's inertia "
+            "times the gear ratio squared (hands: 2e-4 to 2e-3)",
+        )
+    low, high = model.dof_armature.min(), model.dof_armature.max()
+    span = f"{low:.2g}" if low == high else f"{low:.2g} to {high:.2g}"
+    return Finding("armature", True, f"{hand.side}: {span} kg m^2 a joint")
+
+
 def check_palm(hand: Hand, model: mujoco.MjModel) -> Finding:
     """The palm frame lies on the palm and faces what the fingers close on."""
     shapes = body_shapes(model)[0]

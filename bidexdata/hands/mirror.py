@@ -35,6 +35,10 @@ _SAMPLES = 0.01
 """Largest edge of the triangles whose centres are compared [m]."""
 
 
+class NoMirrorImage(BadConfig):
+    """The model of the other side cannot take what the spec says of the written one."""
+
+
 def mirror_image(spec: HandSpec) -> FloatArray:
     """Map points of the written side's hand frame to their images in the other side's, (4, 4)."""
     own = next((s.palm_frame for s in spec.sides.values() if s.palm_frame is not None), None)
@@ -73,7 +77,7 @@ def twin_bodies(spec: HandSpec, written: Hand, other: Hand) -> IntArray:
     """Index in `other` of each of the written side's bodies, by name behind the prefix, (B,).
 
     Raises:
-        BadConfig: The models have different bodies.
+        NoMirrorImage: The models have different bodies.
     """
     theirs, mine = spec.side(written.side).prefix, spec.side(other.side).prefix
     return _twins(written.body_names, other.body_names, (theirs, mine), f"the {other.side} side")
@@ -87,7 +91,7 @@ def twin_joints(spec: HandSpec, written: Hand, other: Hand) -> tuple[IntArray, F
         way, (J,). A reflection M turns a rotation about a into one by the same angle about -M a.
 
     Raises:
-        BadConfig: The models have different joints.
+        NoMirrorImage: The models have different joints.
     """
     theirs, mine = spec.side(written.side).prefix, spec.side(other.side).prefix
     where = f"the {other.side} side"
@@ -120,6 +124,9 @@ def mirrored(
         written: The side that the spec is written for, complete.
         bare: The other side, without contacts and spheres.
         models: Compiled models of the written and of the other side.
+
+    Raises:
+        NoMirrorImage: The models differ in their names, or the postures do not fit the other one.
     """
     twin, T = twin_bodies(spec, written, bare), twin_transforms(spec, written, bare)
     joint, factor = twin_joints(spec, written, bare)
@@ -187,10 +194,10 @@ def _require_within(hand: Hand) -> None:
         beyond = np.flatnonzero((posture < hand.joint_lower) | (posture > hand.joint_upper))
         if len(beyond):
             j = beyond[0]
-            raise BadConfig(
+            raise NoMirrorImage(
                 f"posture {name}: {hand.joint_names[j]} = {posture[j]:g}, mirrored for the "
                 f"{hand.side} side, lies outside its limits [{hand.joint_lower[j]:g}, "
-                f"{hand.joint_upper[j]:g}] rad"
+                f"{hand.joint_upper[j]:g}] rad; check `mirror`, or choose an angle that both have"
             )
 
 
@@ -203,7 +210,7 @@ def _twins(
         lacks, extra = set(names) - set(other), set(other) - set(names)
         said = [f"lacks {', '.join(sorted(lacks))}"] if lacks else []
         said += [f"has {', '.join(sorted(extra))} besides"] if extra else []
-        raise BadConfig(f"{where} {' and '.join(said)}; both sides need the same names")
+        raise NoMirrorImage(f"{where} {' and '.join(said)}; both sides need the same names")
     return np.array([other.index(name) for name in names], np.int32)
 
 

@@ -68,6 +68,9 @@ def load_model(spec: HandSpec, side: Side, folder: Path) -> HandMjcf:
         path = folder / side_spec.source
         source, assets, digest = _from_file(path)
     hand = _cut_at_root(source, side_spec.prefix + spec.root)
+    if spec.joint_armature is not None:
+        for joint in hand.joints:
+            joint.armature = spec.joint_armature
     for a, b in spec.exclude_contacts:
         _exclude(hand, side_spec.prefix + a, side_spec.prefix + b)
     hand.assets = assets

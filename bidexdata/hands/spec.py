@@ -136,10 +136,18 @@ class HandSpec:
     mirror: Literal["x", "y", "z"] | None = field(default=None, metadata={"omit_none": True})
     """Axis of the hand frame that the other side's mirror image turns round: x where it is omitted.
     Without effect where that side gives its own palm frame."""
+    joint_armature: float | None = field(default=None, metadata={"omit_none": True})
+    """Inertia that every joint gets, in place of the model's [kg m^2]: that of the motor's rotor,
+    times the gear ratio squared. Without it fingers are so light that contacts throw light objects."""
 
     def __post_init__(self):
         if not self.sides or not set(self.sides) <= {"left", "right"}:
             raise BadConfig(f"hand {self.name}: sides must be left, right or both")
+        if self.joint_armature is not None and not 0 < self.joint_armature < 1:
+            raise BadConfig(
+                f"hand {self.name}: joint_armature must lie in (0, 1) kg m^2, not "
+                f"{self.joint_armature}"
+            )
         if self.written_for not in self.sides:
             raise BadConfig(f"hand {self.name}: written_for names a side that sides lacks")
         for contact in self.contacts:
@@ -188,7 +196,7 @@ def read_spec(path: str | Path) -> HandSpec:
     """
     data = load_yaml(path)
     where = f"hand spec {Path(path).name}"
-    optional = {"exclude_contacts", "spheres", "mirror"}
+    optional = {"exclude_contacts", "spheres", "mirror", "joint_armature"}
     missing = {f.name for f in fields(HandSpec)} - set(data) - optional
     if missing:
         raise BadConfig(f"{where} lacks {', '.join(sorted(missing))}")

@@ -30,7 +30,7 @@ PROTOCOL = "paper-1"
 OVERLAP = 0.001
 """Deepest overlap of a hand's own links in a starting posture [m]: the simulation pushes them
 apart."""
-CHECKS = ("model", "limits", "spec", "mirror", "palm", "contacts", "spheres", "engines",
+CHECKS = ("model", "limits", "spec", "armature", "mirror", "palm", "contacts", "spheres", "engines",
           "postures", "grasp")  # fmt: skip
 """All checks in their order."""
 
@@ -127,6 +127,7 @@ def _loaded(name: str, spec: HandSpec) -> tuple[list[Finding], list[Hand]]:
     """Load every side, the written one first, or say what stands against it."""
     from bidexdata.hands import load_hand
     from bidexdata.hands.checks import check_limits
+    from bidexdata.hands.mirror import NoMirrorImage
     from bidexdata.hands.registry import spec_path
     from bidexdata.hands.source import load_model
     from bidexdata.hands.tree import read_tree
@@ -147,6 +148,8 @@ def _loaded(name: str, spec: HandSpec) -> tuple[list[Finding], list[Hand]]:
         return findings, []
     try:
         hands = [load_hand(name, cast("Side", side)) for side in sides]
+    except NoMirrorImage as err:
+        return [*findings, Finding("mirror", False, str(err))], []
     except BidexError as err:
         return [*findings, Finding("spec", False, str(err))], []
     named = f"{len(spec.fingers)} fingers, {len(spec.contacts)} contact points"
@@ -155,16 +158,22 @@ def _loaded(name: str, spec: HandSpec) -> tuple[list[Finding], list[Hand]]:
 
 def _of_hands(spec: HandSpec, hands: Sequence[Hand]) -> list[Finding]:
     from bidexdata.hands.agreement import check_engines, check_mirror
-    from bidexdata.hands.checks import check_contacts, check_palm, check_spheres
+    from bidexdata.hands.checks import (
+        check_armature,
+        check_contacts,
+        check_palm,
+        check_spheres,
+    )
 
     models = [hand.make_spec().compile() for hand in hands]
+    armature = [check_armature(hand, model) for hand, model in zip(hands, models, strict=True)]
     if len(hands) == 2:
         found = [check_mirror(spec, hands[0], hands[1], (models[0], models[1]))]
     else:
         found = [Finding("mirror", None, "the spec has one side")]
     for check in (check_palm, check_contacts, check_spheres, check_engines):
         found += [check(hand, model) for hand, model in zip(hands, models, strict=True)]
-    return found
+    return [*armature, *found]
 
 
 def _postures(hands: Sequence[Hand]) -> Finding:

@@ -32,6 +32,20 @@ def contacts(index: int, **changes: Any) -> list[dict[str, Any]]:
     return points
 
 
+def changed_again(tmp_path: Path, **changes: Any) -> str:
+    """Another spec beside the list of links that is there."""
+    path = tmp_path / "again.yaml"
+    path.write_text(yaml.safe_dump(yaml.safe_load(CAPSULE.read_text()) | changes))
+    return str(path)
+
+
+def sides(**changes: Any) -> dict[str, Any]:
+    """The sides of the built-in hand; the left one has a palm frame of its own, with changes."""
+    both = yaml.safe_load(CAPSULE.read_text())["sides"]
+    frame = {"pos": [0, -0.012, 0.055], "x": [0, 0, 1], "z": [0, -1, 0]} | changes
+    return {**both, "left": both["left"] | {"palm_frame": frame}}
+
+
 def posture(**angles: float) -> dict[str, Any]:
     """The postures of the built-in hand, the open one changed."""
     postures = yaml.safe_load(CAPSULE.read_text())["postures"]
@@ -54,8 +68,9 @@ def test_the_built_in_hand_passes_every_check():
     ("changes", "check", "says"),
     [
         ({"mirror": "z"}, "mirror", "`mirror`"),
+        ({"sides": sides(pos=[0.02, -0.012, 0.055])}, "mirror", "`sides.left.palm_frame`"),
         ({"postures": posture(FFJ3=2.0)}, "limits", "postures.open: FFJ3 is 2"),
-        ({"contacts": contacts(0, pos=[0, 0.001, 0.015])}, "contacts", "contact ff: the sphere"),
+        ({"contacts": contacts(0, pos=[0, -0.004, 0.0245])}, "contacts", "contact ff: the sphere"),
         ({"contacts": contacts(1, pos=[0.02, 0, 0.02])}, "contacts", "contact mf: its centre"),
         ({"contacts": contacts(2, radius=0.012)}, "contacts", "contact rf: the sphere"),
         ({"contacts": contacts(4, finger="ff")}, "contacts", "none of finger ff"),
@@ -70,6 +85,14 @@ def test_a_wrong_number_fails_its_check_and_names_the_key(tmp_path, changes, che
     found = failed(changed(tmp_path, **changes))
     assert check in found
     assert says in found[check]
+
+
+def test_joints_without_inertia_fail_and_an_armature_in_the_spec_helps(tmp_path):
+    spec = changed(tmp_path)
+    links = tmp_path / "capsule_links.yaml"
+    links.write_text(links.read_text().replace("armature: 0.0002", "armature: 0.0"))
+    assert "joint_armature" in failed(spec)["armature"]
+    assert failed(changed_again(tmp_path, joint_armature=0.001)) == {}
 
 
 def test_a_normal_that_points_back_is_found_by_how_the_finger_closes(tmp_path):
