@@ -213,7 +213,7 @@ def check_spheres(hand: Hand, model: mujoco.MjModel) -> Finding:
             if out.max() > PROTRUSION:
                 faults.append(
                     f"{name}: a sphere stands {1e3 * out.max():.0f} mm out of its collision "
-                    "geometry; lower spheres.protrusion or spheres.max_radius"
+                    "geometry; lower spheres.protrusion, spheres.min_radius or spheres.max_radius"
                 )
     fine = (
         f"{len(hand.sphere_body)} cover at least {100 * least:.0f} % of each body, at most "

@@ -80,7 +80,7 @@ def test_a_link_of_another_shape_has_spheres_of_its_own(tmp_path):
     path = written(tmp_path, SAME_SENSE | {"shift": "0 0.012 0"}, {}, mirror="y")
     right, left = load_hand(path, "right"), load_hand(path, "left")
     palm = left.sphere_pos[left.sphere_body == 0]
-    np.testing.assert_allclose(palm[:, 1].mean(), 0.012, atol=1e-3)
+    assert (palm[:, 1].min(), palm[:, 1].max()) == pytest.approx((-0.008, 0.032), abs=0.004)
     tips = [hand.sphere_radius[hand.sphere_body > 0] for hand in (left, right)]
     np.testing.assert_array_equal(*tips)
     assert left.sphere_body[0] == right.sphere_body[0] == 2  # contact spheres come first
@@ -95,9 +95,10 @@ def test_an_angle_beyond_the_other_sides_limits_is_refused(tmp_path):
 
 def test_sides_with_other_names_are_refused_with_the_names(tmp_path):
     path = written(tmp_path, SAME_SENSE, {}, mirror="y")
-    text = (tmp_path / "left.xml").read_text().replace('body name="tip"', 'body name="top"')
+    nail = '<body name="nail"><geom size=".01"/></body><body name="base"'
+    text = (tmp_path / "left.xml").read_text().replace('<body name="base"', nail)
     (tmp_path / "left.xml").write_text(text)
-    with pytest.raises(BadConfig, match="lacks tip and has top besides"):
+    with pytest.raises(BadConfig, match="left side has nail besides"):
         load_hand(path, "left")
 
 
