@@ -66,7 +66,7 @@ def check_limits(spec: HandSpec, side: str, tree: HandTree) -> Finding:
                     f"{high:.3g}] rad"
                 )
     count = len(tree.joint_names)
-    return worst("limits", faults, f"{count} joints, both postures within their limits")
+    return worst("limits", faults, f"{side}: {count} joints, both postures within their limits")
 
 
 def check_armature(hand: Hand, model: mujoco.MjModel) -> Finding:
