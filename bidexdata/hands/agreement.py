@@ -19,7 +19,7 @@ from bidexdata.hands.mirror import (
     twin_joints,
     twin_transforms,
 )
-from bidexdata.hands.model import FloatArray, Hand
+from bidexdata.hands.model import FloatArray, Hand, IntArray
 
 if TYPE_CHECKING:
     import mujoco
@@ -101,7 +101,7 @@ def check_engines(hand: Hand, model: mujoco.MjModel) -> Finding:
             off = np.abs(engines[a] - engines[b]).max(axis=(0, 2))
             largest = max(largest, float(off.max()))
             if not off.max() <= ENGINES:
-                which = hand.body_names[int(np.concatenate(_points_of(hand)[0])[np.argmax(off)])]
+                which = hand.body_names[_points_of(hand)[0][np.argmax(off)]]
                 faults.append(
                     f"{a} and {b} place {which} {1e3 * off.max():.3g} mm apart; this is a bug of "
                     "bidexdata or of an engine: report it with the spec and the model"
@@ -117,13 +117,13 @@ def _largest_way(spec: HandSpec, written: Hand, other: Hand) -> tuple[float, str
     joints = _postures(written, np.random.default_rng(0))
     theirs = np.zeros((len(joints), len(other.joint_names)))
     theirs[:, joint] = factor * joints
-    expected = apply(mirror_image(spec), _placed(written, joints, *_points_of(written)))
     body, local = _points_of(written)
-    image = [apply(T[b], x[None])[0] for b, x in zip(np.concatenate(body), local, strict=True)]
-    found = _placed(other, theirs, [twin[np.concatenate(body)]], np.array(image))
+    expected = apply(mirror_image(spec), _placed(written, joints, body, local))
+    image = np.stack([apply(T[b], point[None])[0] for b, point in zip(body, local, strict=True)])
+    found = _placed(other, theirs, twin[body], image)
     way = np.linalg.norm(found - expected, axis=2).max(axis=0)
     at = int(np.argmax(way))
-    return float(way[at]), other.body_names[twin[np.concatenate(body)[at]]]
+    return float(way[at]), other.body_names[twin[body[at]]]
 
 
 def _pad_difference(
@@ -144,20 +144,18 @@ def _postures(hand: Hand, rng: np.random.Generator) -> FloatArray:
     return np.concatenate([[lower, upper, hand.posture_open, hand.posture_curved], random])
 
 
-def _points_of(hand: Hand) -> tuple[list[np.ndarray], FloatArray]:
-    """Body numbers and places of bodies' origins, contact points and spheres, body frames."""
+def _points_of(hand: Hand) -> tuple[IntArray, FloatArray]:
+    """Body numbers (P,) and places (P, 3) of bodies' origins, contact points and spheres."""
     origins = np.zeros((len(hand.body_names), 3))
-    body = [np.arange(len(origins)), hand.contact_body, hand.sphere_body]
+    own = np.arange(len(origins), dtype=np.int32)
+    body = np.concatenate([own, hand.contact_body, hand.sphere_body])
     return body, np.concatenate([origins, hand.contact_pos, hand.sphere_pos])
 
 
-def _placed(
-    hand: Hand, joints: FloatArray, body: list[np.ndarray], local: FloatArray
-) -> FloatArray:
+def _placed(hand: Hand, joints: FloatArray, body: IntArray, local: FloatArray) -> FloatArray:
     """Points of bodies in the hand frame [m], (n, P, 3)."""
     pos, rot = forward_kinematics(hand, joints)
-    index = np.concatenate(body)
-    return pos[:, index] + np.einsum("npij,pj->npi", rot[:, index], local)
+    return pos[:, body] + np.einsum("npij,pj->npi", rot[:, body], local)
 
 
 def _by_mujoco(
@@ -167,13 +165,12 @@ def _by_mujoco(
 
     data = mujoco.MjData(model)
     body, local = _points_of(hand)
-    index = np.concatenate(body)
     found = []
     for q in joints:
         data.qpos[:] = q
         mujoco.mj_kinematics(model, data)
-        rot = data.xmat[1:].reshape(-1, 3, 3)[index]
-        found.append(data.xpos[1:][index] + np.einsum("pij,pj->pi", rot, local))
+        rot = data.xmat[1:].reshape(-1, 3, 3)[body]
+        found.append(data.xpos[1:][body] + np.einsum("pij,pj->pi", rot, local))
     return _based(np.array(found), pos, quat)
 
 
