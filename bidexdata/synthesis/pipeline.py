@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from bidexdata.config import fingerprint
 from bidexdata.frames import quat_multiply, quat_rotate
 from bidexdata.record import GraspBatch, Scene, Status
 from bidexdata.synthesis.attempts import Attempts, draw_attempts, gather_starts
@@ -122,17 +121,9 @@ def synthesize(
         found = outcome(one, staged, rows, grasps, config.selection)
         made.append(
             scene_rows(
-                hands,
-                one,
-                staged,
-                rows,
-                status=found.status,
-                selected=found.selected,
-                audit=found.audit,
-                steps=config.optimise.steps,
+                *(hands, one, staged, rows, found, config),
                 first_attempt=first_attempt,
                 run_fingerprint=run_fingerprint,
-                fingerprints={"synth": fingerprint(config)},
             )
         )
     return GraspBatch.concat(made)

@@ -45,8 +45,13 @@ def read_pose(ws: Workspace, hands: Sequence[Hand]) -> Pose:
     return Pose(position, quats, (joints[0], joints[1]))
 
 
-def read_energies(ws: Workspace, qp: ContactQP) -> Energies:
-    """Copy and sum the energies that the last step wrote; terms that it left out are older."""
+def read_energies(ws: Workspace, qp: ContactQP | None) -> Energies:
+    """Copy and sum the energies that the last step wrote; terms that it left out are older.
+
+    Args:
+        ws: The optimisation.
+        qp: Whose residuals are the closure energy; NaN without one.
+    """
     c = ws.contacts
     real = np.zeros((2, c.centres.shape[1] // 2), bool)
     for h, count in enumerate(ws.contacts_per_hand):
@@ -61,7 +66,7 @@ def read_energies(ws: Workspace, qp: ContactQP) -> Energies:
         pad=_per_grasp(c.pad_energy, places),
         penetration=depth[0] + depth[1],
         self_penetration=own[0] + own[1] + other[0] + other[1],
-        closure=_per_grasp(qp.residual),
+        closure=np.full(ws.count, np.nan) if qp is None else _per_grasp(qp.residual),
     )
 
 
