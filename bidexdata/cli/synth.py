@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from bidexdata.cli import options
+from bidexdata.cli.explain import explain as _explain
 from bidexdata.cli.report import (
     command,
     counts_text,
@@ -53,6 +54,14 @@ def synth(
     ] = None,
     preset: Annotated[str, typer.Option(help="`bidexdata presets` lists them.")] = "default",
     device: Annotated[str, typer.Option(help="cpu, or cuda:0 where there is one.")] = "cpu",
+    explain: Annotated[
+        str | None,
+        typer.Option(
+            metavar="GRASP_ID",
+            help="Make one grasp of RUN again and write pictures of its stages to "
+            "RUN/explain/GRASP_ID; the run's own settings decide. The first digits of an id do.",
+        ),
+    ] = None,
     workers: options.Workers = 0,
     executor: options.ExecutorName = "processes",
     shard: options.Shard = None,
@@ -72,7 +81,15 @@ def synth(
     without_grasp, n, selected, by_status and seconds are of this call only; `info` gives the whole
     run. seconds is the time that the whole command took, with the loading of packages and hands and
     the start of the workers.
+
+    With --explain: grasp_id, scene_id, attempt, status, reasons (every check it fails), stored,
+    repeats, differing (columns), selected, audit, rank (in the order of selection), may_be_kept
+    (attempts in that order), stages (stage, text, passed), files, seconds. docs/explain.md says what
+    the pictures and numbers mean.
     """
+    if explain is not None:
+        _explain(library, out, explain, device, as_json=as_json, quiet=quiet)
+        return
     started = time.perf_counter()
     from bidexdata.record.scene import setting_of
     from bidexdata.runs.run import Run
