@@ -80,7 +80,7 @@ def log_chart(
         lines: Of equal length; the legend names each with its last number.
         title: One line at the top.
         footer: One line at the bottom: what the numbers are.
-        bands: Stretches of steps that have a name.
+        bands: Stretches of steps that have a name; lines are cut where one begins.
         width: Pixels.
         height: Pixels.
     """
@@ -104,7 +104,7 @@ def log_chart(
     _say(draw, (GAP, height - TEXT - GAP), fitted(footer, inside // _FINE, TEXT), FAINT)
     _axes(draw, plot, bands)
     for line in lines:
-        _draw_line(draw, plot, line)
+        _draw_line(draw, plot, line, [band.first for band in bands])
     _legend(draw, plot, lines)
     return page.resize((width, height), Image.Resampling.LANCZOS)
 
@@ -135,7 +135,7 @@ def _axes(draw: ImageDraw, plot: _Plot, bands: Sequence[Band]) -> None:
         draw.line((plot.left, y, plot.right, y), fill=GRID, width=_FINE)
         label = f"{10.0**power:g}" if -3 <= power <= 4 else f"1e{power}"
         if power == plot.low:
-            label = f"≤ {label}"
+            label = f"< {label}"
         _say(draw, (GAP, int(y) // _FINE - TEXT // 2 - 1), label, FAINT)
     every = max(1, 10 * round(plot.steps / 100))
     for step in range(0, plot.steps, every):
@@ -144,10 +144,10 @@ def _axes(draw: ImageDraw, plot: _Plot, bands: Sequence[Band]) -> None:
         _say(draw, (int(x) // _FINE - 6, plot.bottom // _FINE + 6), str(step), FAINT)
 
 
-def _draw_line(draw: ImageDraw, plot: _Plot, line: Line) -> None:
+def _draw_line(draw: ImageDraw, plot: _Plot, line: Line, starts: Sequence[int]) -> None:
     known = np.isfinite(line.values)
     points = [(plot.x(i), plot.y(float(v))) for i, v in enumerate(np.where(known, line.values, 0))]
-    for i in np.flatnonzero(known[:-1] & known[1:]):
+    for i in np.flatnonzero(known[:-1] & known[1:] & ~np.isin(np.arange(1, len(known)), starts)):
         draw.line((*points[i], *points[i + 1]), fill=line.colour, width=line.width * _FINE)
     beside = np.concatenate([[False], known[:-1]]) | np.concatenate([known[1:], [False]])
     radius = 2 * line.width * _FINE

@@ -17,7 +17,7 @@ _CORNERS = 8
 
 
 def surface_patch(points: NDArray[Any], normals: NDArray[Any], colour: Colour, label: str) -> Part:
-    """Cover a region of a surface with plates, one per point, that just meet.
+    """Cover a region of a surface with plates, one per point, that meet.
 
     Args:
         points: Samples of the surface [m], (n, 3); repeated ones count once.
@@ -50,13 +50,13 @@ def surface_patch(points: NDArray[Any], normals: NDArray[Any], colour: Colour, l
 
 
 def plate_radius(points: FloatArray) -> float:
-    """Radius at which plates at different points of a surface meet [m]: their usual spacing."""
+    """Radius at which plates at irregular points cover a surface [m]: their usual spacing."""
     if len(points) < 2:
         return 0.005
     offset = points[:, None] - points[None]
     squared = np.sum(offset**2, axis=-1)
     np.fill_diagonal(squared, np.inf)
-    return 0.6 * float(np.median(np.sqrt(squared.min(axis=1))))
+    return float(np.median(np.sqrt(squared.min(axis=1))))
 
 
 def _tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:

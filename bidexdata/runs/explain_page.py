@@ -46,8 +46,8 @@ def headline(report: ExplainReport) -> list[str]:
     kept = f"stored ({', '.join(kinds)})" if report.stored else "not stored"
     number = report.attempt - one.number
     first = (
-        f"grasp {report.grasp_id}: attempt {report.attempt} ({number} to "
-        f"{number + report.attempts - 1}) of {report.scene_id}, {kept}"
+        f"grasp {report.grasp_id}: attempt {report.attempt} of {number} to "
+        f"{number + report.attempts - 1} of {report.scene_id}, {kept}"
     )
     what = counted(repeat.rows, "stored row")
     if not repeat.differing:
@@ -135,7 +135,7 @@ def _attempts(report: ExplainReport, run_fingerprint: str) -> str:
         name = f"**{ids[i]}**" if i == one.number else ids[i]
         flags = [w for w, is_ in (("selected", found.selected), ("audit", found.audit)) if is_[i]]
         pair = "-" if placed is None else str(int(placed.pair_index[i]) + 1)
-        figures = [1e3 * found.depth[i], found.residual[i], found.shifted[i]]
+        figures = [1e3 * abs(found.depth[i]), found.residual[i], found.shifted[i]]
         numbers = [f"{v:.3g}" if np.isfinite(v) else "-" for v in figures]
         status = Status(int(found.status[i])).label
         rows.append((place.get(i, "-"), first + i, name, pair, status, *numbers, " ".join(flags)))

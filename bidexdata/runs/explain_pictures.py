@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -67,6 +68,7 @@ LINE_COLOURS = {
     "self_penetration": (60, 170, 185),
 }
 TOTAL_COLOUR = (35, 38, 42)
+_APART = 6  # steps
 
 
 def stages_sheet(
@@ -78,7 +80,9 @@ def stages_sheet(
     title: str,
     device: str = "cpu",
 ) -> Image:
-    """Draw every stage that an attempt came to, from two sides, with the camera standing still.
+    """Draw every stage that an attempt came to, from two sides.
+
+    The camera stands still while there are hands, and comes nearer where there are none.
 
     Args:
         one: The attempt.
@@ -94,7 +98,7 @@ def stages_sheet(
     seen = {m.name: _hands(m, hands, scene) for m in one.moments if _finite(m)}
     shots = [("regions", "regions", [*ground, *regions])]
     for name, parts in seen.items():
-        marks = _contacts(one, scene) if name == "grasp" else regions
+        marks = _contacts(one, scene) if name in ("grasp", "squeeze") else regions
         shots.append((name, TITLES[name], [*ground, *marks, *parts]))
     if one.finished is not None and "grasp" in seen:
         forces = ("forces", "forces that the hands balance", [*ground, *_forces(one, scene)])
@@ -102,12 +106,12 @@ def stages_sheet(
         shots.insert(place, forces)
     model = seen.get("grasp") or next(iter(seen.values()), [])
     directions = choose_views([*ground, *model], RayScene([*ground, *model], device), 2)
-    points = np.concatenate([subject_points(parts) for _, _, parts in shots])
-    cameras = [framed(points, d, WIDTH / HEIGHT) for d in directions]
+    whole = np.concatenate([subject_points(parts) for _, _, parts in shots])
     words = {s.stage: s for s in said}
     tiles = []
     for name, head, parts in shots:
-        rays = RayScene(parts, device)
+        rays, points = RayScene(parts, device), whole if name in seen else subject_points(parts)
+        cameras = [framed(points, d, WIDTH / HEIGHT) for d in directions]
         views = [rays.draw(camera, WIDTH, HEIGHT) for camera in cameras]
         tiles.append(Tile(np.concatenate(views), _caption(head, words.get(name))))
     return contact_sheet(tiles, title=title, footer=drawn_by(device), columns=COLUMNS)
@@ -115,20 +119,24 @@ def stages_sheet(
 
 def energies_chart(trace: Trace, *, title: str) -> Image:
     """Draw the weighted energy terms over the steps, and their sum."""
-    weighted = trace.energy * trace.weight
-    used = [k for k in range(len(TERMS)) if np.isfinite(weighted[:, k]).any()]
-    lines = [Line(TERM_WORDS[TERMS[k]], weighted[:, k], LINE_COLOURS[TERMS[k]]) for k in used]
-    lines.append(Line("sum", trace.total(), TOTAL_COLOUR, 1))
-    bands, first = [], 0
-    phases = [*trace.phase, ""]
-    for i in range(1, len(phases)):
-        if phases[i] != phases[first]:
-            if phases[first] in TITLES:
-                bands.append(Band(phases[first], first, i))
-            first = i
+    weighted = np.column_stack([trace.energy * trace.weight, trace.total()])
+    # The finished grasp stands apart from the last step, as a dot.
+    weighted = np.insert(weighted, len(weighted) - 1, np.full((_APART, 1), np.nan), axis=0)
+    names = [TERM_WORDS[t] for t in TERMS]
+    inks = [LINE_COLOURS[t] for t in TERMS]
+    lines = [
+        Line(name, values, ink, width)
+        for name, values, ink, width in zip(
+            [*names, "sum"], weighted.T, [*inks, TOTAL_COLOUR], [2] * len(TERMS) + [1], strict=True
+        )
+        if np.isfinite(values).any()
+    ]
+    cuts = [i for i in range(len(trace.phase)) if i == 0 or trace.phase[i] != trace.phase[i - 1]]
+    bands = [Band(trace.phase[first], first, stop) for first, stop in itertools.pairwise(cuts)]
+    bands.append(Band("end", cuts[-1] + 1, len(weighted)))
     footer = (
-        "weight x energy before the move of each step; last: the finished grasp, pads wanted on "
-        "the surface"
+        "weight x energy before the move of each step; dots: the finished grasp, with pads wanted "
+        "on the surface and contacts where the pads are"
     )
     return log_chart(lines, title=title, footer=footer, bands=bands)
 

@@ -147,9 +147,9 @@ def _forces(one: Explanation, done: Finished, config: SynthConfig) -> StageWords
         for f, n, scale in zip(done.forces, done.normals_in, done.force_scale, strict=True)
     ]
     text = (
-        f"what the contacts leave unbalanced: both hands {residual:.2g} (limit to be kept {most:g}), "
-        f"left alone {done.residual_hand[0]:.2g}, right alone {done.residual_hand[1]:.2g}, "
-        f"with contacts moved by {_mm(select.shift)} {shifted:.2g}; "
+        f"residual of the wrenches: both hands {residual:.2g} (limit to be kept {most:g}), "
+        f"left alone {done.residual_hand[0]:.2g}, right alone {done.residual_hand[1]:.2g}; "
+        f"of contacts moved by {_mm(select.shift)} {shifted:.2g}; "
         f"the squeeze presses with {pressed[0]:.2g} N left, {pressed[1]:.2g} N right"
     )
     return StageWords("forces", text, bool(residual <= most))
@@ -185,22 +185,22 @@ def _selection(one: Explanation, config: SynthConfig, grasps: int) -> StageWords
         return StageWords("selection", f"not considered: it is {one.status.label}", False)
     if one.rank is None:
         text = (
-            f"not considered: {found.residual[i]:.2g} of both hands' contacts is unbalanced, over "
-            f"the limit {select.largest_residual:g}"
+            f"not considered: the residual of both hands {found.residual[i]:.2g} is over the limit "
+            f"{select.largest_residual:g}"
         )
         return StageWords("selection", text, False)
     rank = f"rank {one.rank} of {counted(len(one.order), 'attempt')} that may be kept"
-    by = f"moved contacts leave {found.shifted[i]:.3g} unbalanced"
+    by = f"residual of moved contacts {found.shifted[i]:.3g}"
     if found.depth[i] > select.clear_depth:
         clear = int(np.sum(found.depth[one.order] <= select.clear_depth))
         by += (
             f", and a pre-grasp {_mm(found.depth[i])} in the object comes after the {clear} that are "
-            f"clear of it by {_mm(select.clear_depth)}"
+            f"at most {_mm(select.clear_depth)} in it"
         )
     last = one.order[: min(grasps, len(one.order))][-1]
-    kept = f"the best {grasps} are kept, the last of them with {found.shifted[last]:.3g}"
+    kept = f"the best {grasps} are kept, the last of them has {found.shifted[last]:.3g}"
     verdict = "kept" if found.selected[i] else "not kept"
-    return StageWords("selection", f"{verdict}: {rank}: {by}; {kept}", bool(found.selected[i]))
+    return StageWords("selection", f"{verdict}: {rank}; {by}; {kept}", bool(found.selected[i]))
 
 
 def _audit(one: Explanation, grasps: int) -> StageWords:
@@ -232,4 +232,5 @@ def _pads(moment: Moment) -> str:
 
 
 def _mm(metres: float) -> str:
-    return f"{1e3 * metres:.1f}".removesuffix(".0") + " mm"
+    # Of lengths: the depth of what is in nothing is -0.0.
+    return f"{abs(metres) * 1e3:.1f}".removesuffix(".0") + " mm"
