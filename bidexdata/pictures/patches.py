@@ -56,7 +56,7 @@ def plate_radius(points: FloatArray) -> float:
     offset = points[:, None] - points[None]
     squared = np.sum(offset**2, axis=-1)
     np.fill_diagonal(squared, np.inf)
-    return float(np.median(np.sqrt(squared.min(axis=1))))
+    return 0.85 * float(np.median(np.sqrt(squared.min(axis=1))))
 
 
 def _tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -57,7 +57,7 @@ def stage_words(one: Explanation, config: SynthConfig, grasps: int) -> list[Stag
             _grasp(one.trace, one.finished, at, config),
             _forces(one, one.finished, config),
             _squeeze(at),
-            _checks(one.finished),
+            _checks(one, one.finished, config),
         ]
     return [*said, _selection(one, config, grasps), _audit(one, grasps)]
 
@@ -83,7 +83,8 @@ def _start(one: Explanation, config: SynthConfig) -> list[StageWords]:
         return []
     if not placed.ok[one.number]:
         drawn = counted(config.placement.draws, "draw")
-        text = f"{Status.NO_PLACEMENT.sentence}, in {drawn}; the last is shown"
+        last = "the hands meet" if placed.above[one.number] else "a hand would reach into the table"
+        text = f"{Status.NO_PLACEMENT.sentence}, in {drawn}; in the last, which is shown, {last}"
         return [StageWords("start", text, False)]
     flat = one.attempts.pairs.flatness[placed.pair_index[one.number]] < config.placement.flat
     fingers = ["open" if is_flat else "curved" for is_flat in flat]
@@ -172,11 +173,21 @@ def _squeeze(at: dict[str, Moment]) -> StageWords:
     return StageWords("squeeze", text)
 
 
-def _checks(done: Finished) -> StageWords:
+def _checks(one: Explanation, done: Finished, config: SynthConfig) -> StageWords:
+    select = config.selection
+    measured = {
+        Status.PENETRATION_LEFT: (one.found.depth[one.number], select.start_depth),
+        Status.SELF_PENETRATION_LEFT: (done.among_hands, select.hands_depth),
+        Status.TABLE_PENETRATION: (done.table, select.table_depth),
+    }
     if not done.reasons:
         return StageWords("checks", "passed", True)
-    said = "; ".join(f"{r.label}: {r.sentence}" for r in done.reasons)
-    return StageWords("checks", f"failed: {said}", False)
+    said = []
+    for reason in done.reasons:
+        depth, most = measured.get(reason, (None, 0.0))
+        by = "" if depth is None else f" ({_mm(depth)}, limit {_mm(most)})"
+        said.append(f"{reason.label}: {reason.sentence}{by}")
+    return StageWords("checks", f"failed: {'; '.join(said)}", False)
 
 
 def _selection(one: Explanation, config: SynthConfig, grasps: int) -> StageWords:
