@@ -20,6 +20,7 @@ GRID = (226, 226, 226)
 SHADE = (241, 243, 246)
 MOST_DECADES = 7
 """Powers of ten that are shown at most; what is smaller lies on the lower edge."""
+_TICKS = [k * 10**p for p in range(6) for k in (1, 2, 5)]  # steps between two numbers
 _FINE = 2  # pixels are drawn so much finer, for smooth lines
 _LEFT, _LEGEND, _FOOT = 62, 250, 46  # pixels beside and under the plot
 
@@ -54,7 +55,7 @@ class _Plot(NamedTuple):
     """Power of ten at the lower edge."""
     high: int
 
-    def x(self, step: float) -> float:
+    def x(self, step: int) -> float:
         return self.left + (self.right - self.left) * step / max(self.steps - 1, 1)
 
     def y(self, value: float) -> float:
@@ -137,7 +138,7 @@ def _axes(draw: ImageDraw, plot: _Plot, bands: Sequence[Band]) -> None:
         if power == plot.low:
             label = f"< {label}"
         _say(draw, (GAP, int(y) // _FINE - TEXT // 2 - 1), label, FAINT)
-    every = max(1, 10 * round(plot.steps / 100))
+    every = next(n for n in _TICKS if plot.steps <= 12 * n or n == _TICKS[-1])
     for step in range(0, plot.steps, every):
         x = plot.x(step)
         draw.line((x, plot.bottom, x, plot.bottom + 4 * _FINE), fill=FAINT, width=_FINE)

@@ -133,6 +133,7 @@ def start_run(library: Library, out: Path, request: SynthRequest) -> Run:
     out.mkdir(parents=True, exist_ok=True)
     if spec != old:
         write_spec(out, spec)
+        open_unchanged.cache_clear()  # inline tasks of this process must see a new round
     _write_missing_rounds(library, out, spec, fresh=old is None)
     return Run(out, spec)
 

@@ -5,23 +5,25 @@ import pytest
 
 from bidexdata.config import with_overrides
 from bidexdata.hands import load_hands
+from bidexdata.hands.kinematics import hand_points
 from bidexdata.objects.prepare import prepare_object
 from bidexdata.record import Scene, Status
 from bidexdata.synthesis.config import SynthConfig
 from bidexdata.synthesis.explain import explain_attempt
 from bidexdata.synthesis.pipeline import synthesize
 from bidexdata.synthesis.selection import SelectionConfig, failures, judge
+from bidexdata.synthesis.table import table_plane
 from bidexdata.synthesis.trace import TERMS
 
 GRASPS, CANDIDATES = 2, 6
 # Stored as float32.
 F32 = 1e-6
-STEPS = (20, 6, 7)
+STEPS = {"approach": 20, "pregrasp": 6, "grasp": 7}
 CONFIG = with_overrides(
     SynthConfig(),
     [
         "regions.anchors=60",
-        *(f"optimise.{p}.steps={n}" for p, n in zip(("approach", "pregrasp", "grasp"), STEPS)),
+        *(f"optimise.{phase}.steps={n}" for phase, n in STEPS.items()),
         # Short runs end unbalanced; all that come through may be kept.
         "selection.largest_residual=100",
     ],
@@ -66,8 +68,8 @@ def test_rows_that_were_watched_are_those_that_were_not(explained, obj, hands, s
 
 
 def test_every_step_is_seen_once_in_order_and_the_finished_grasp_last(explained):
-    phases = [p for p, n in zip(("approach", "pregrasp", "grasp"), STEPS) for _ in range(n)]
-    steps = [i for n in STEPS for i in range(n)]
+    phases = [phase for phase, n in STEPS.items() for _ in range(n)]
+    steps = [i for n in STEPS.values() for i in range(n)]
     for one in explained:
         assert list(one.trace.phase) == [*phases, "end"]
         assert one.trace.step.tolist() == [*steps, 0]
@@ -136,17 +138,29 @@ def test_an_attempt_without_a_pair_has_nothing_to_show(obj, hands, scene):
     assert (one.moments, one.trace, one.finished, one.rank) == ((), None, None, None)
 
 
-def test_an_attempt_without_a_start_shows_its_last_draw(obj, hands, scene):
-    config = with_overrides(CONFIG, ["placement.clearance=0.5", "placement.draws=2"])
-    one = explain(obj, hands, scene, 1, config)
+def test_an_attempt_without_a_start_shows_its_last_draw(obj, hands):
+    height = (0.0, 0.0, float(obj.rest_heights[0]) * 0.15)
+    quat = tuple(float(x) for x in obj.rest_quats_wxyz[0])
+    table = Scene(obj.object_id, 150, "tabletop", 0, height, quat)
+    config = with_overrides(CONFIG, ["placement.table_raise=0", "placement.draws=1"])
+    status = explain(obj, hands, table, 0, config).found.status
+    number = int(np.argmax(status == Status.NO_PLACEMENT))
+    one = explain(obj, hands, table, number, config)
     assert one.status is Status.NO_PLACEMENT
     assert [m.name for m in one.moments] == ["start"]
     assert (one.trace, one.finished, one.rank) == (None, None, None)
-    assert one.attempts.placed.above.all()  # there is no table
+    lowest = 1.0
+    for h, hand in enumerate(hands):
+        start = one.moments[0]
+        at = hand_points(hand, start.joints[h], start.position[h], start.quat_wxyz[h])
+        up = at.sphere @ table_plane(table)[:3] + table_plane(table)[3]
+        lowest = min(lowest, float(np.min(up - hand.sphere_radius)))
+    clear = lowest >= config.placement.clearance - F32
+    assert bool(one.attempts.placed.above[number]) is clear
 
 
-def test_the_first_reason_that_holds_is_the_status(rng=np.random.default_rng(0)):
-    config, n = SelectionConfig(), 500
+def test_the_first_reason_that_holds_is_the_status():
+    rng, config, n = np.random.default_rng(0), SelectionConfig(), 500
     finite = rng.random(n) < 0.8
     gaps = rng.uniform(-0.02, 0.02, (n, 2, 5))
     depth, among, table = rng.uniform(0, 0.02, (3, n))
