@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
+import re
 import shutil
 from collections import Counter
 from pathlib import Path
@@ -15,7 +16,7 @@ import pytest
 from bidexdata.cli.main import run as command
 from bidexdata.errors import BadValue, Contradiction, NotUsable
 from bidexdata.record import GraspBatch, Status
-from bidexdata.runs.explain import explain_grasp, find_attempt, same_rows
+from bidexdata.runs.explain import ExplainReport, explain_grasp, find_attempt, same_rows
 from bidexdata.runs.run import Run
 from bidexdata.runs.shards import read_mark, shard_path, write_shard
 from bidexdata.synthesis.attempts import grasp_ids
@@ -24,6 +25,15 @@ OPTIONS = (
     *("--hand", "capsule", "--grasps", "2", "--candidates", "5", "--executor", "inline"),
     *("--set", "regions.anchors=60", "--set", "optimise.approach.steps=30", "--quiet"),
 )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _small_pictures():
+    """Drawing takes most of the time, and the laws here are not about it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bidexdata.runs.explain_pictures.WIDTH", 64)
+        patch.setattr("bidexdata.runs.explain_pictures.HEIGHT", 48)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +56,18 @@ def made(library: Path) -> Run:
     return Run.open(folder)
 
 
+@pytest.fixture(scope="module")
+def before(made: Run) -> dict[str, bytes]:
+    """All files of the run before anything is explained."""
+    return files_of(made.path)
+
+
+@pytest.fixture(scope="module")
+def report(library: Path, made: Run, before: dict[str, bytes]) -> ExplainReport:
+    """What is said of a selected grasp of the first round."""
+    return explain_grasp(library, made.path, selected_of(made, 0))
+
+
 def rows(run: Run) -> list[tuple[str, int, bool]]:
     """(grasp_id, round, selected) of every stored row."""
     return [
@@ -56,39 +78,36 @@ def rows(run: Run) -> list[tuple[str, int, bool]]:
     ]
 
 
+def selected_of(run: Run, number: int) -> str:
+    return next(g for g, its_round, selected in rows(run) if its_round == number and selected)
+
+
 def files_of(folder: Path) -> dict[str, bytes]:
     found = [p for p in folder.rglob("*") if p.is_file() and "explain" not in p.parts]
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in found}
 
 
-def test_rows_of_every_round_repeat_and_nothing_else_changes(library: Path, made: Run):
-    before = files_of(made.path)
-    for number in (0, 1):
-        grasp_id = next(
-            g for g, its_round, selected in rows(made) if its_round == number and selected
-        )
-        report = explain_grasp(library, made.path, grasp_id)
-        assert report.repeat.differing == ()
-        assert report.repeat.rows > 0
-        assert report.stored
-        assert report.as_dict()["selected"]
-        folder = made.path / "explain" / grasp_id
-        assert {p.name for p in folder.iterdir()} == {p.name for p in report.files}
-        assert all(p.parent == folder and p.stat().st_size for p in report.files)
+def test_rows_of_every_round_repeat_and_nothing_else_changes(
+    library: Path, made: Run, before: dict[str, bytes], report: ExplainReport
+):
+    for one in (report, explain_grasp(library, made.path, selected_of(made, 1))):
+        assert one.repeat.differing == ()
+        assert one.repeat.rows > 0
+        assert one.stored
+        assert one.as_dict()["selected"]
+        folder = made.path / "explain" / one.grasp_id
+        assert {p.name for p in folder.iterdir()} == {p.name for p in one.files}
+        assert all(p.parent == folder and p.stat().st_size for p in one.files)
     assert files_of(made.path) == before
 
 
-def test_the_same_grasp_gives_the_same_files(library: Path, made: Run):
-    grasp_id = rows(made)[0][0]
-    first, second = (
-        {p.name: p.read_bytes() for p in explain_grasp(library, made.path, grasp_id).files}
-        for _ in range(2)
-    )
-    assert first == second
+def test_the_same_grasp_gives_the_same_files(library: Path, made: Run, report: ExplainReport):
+    first = {p.name: p.read_bytes() for p in report.files}
+    again = explain_grasp(library, made.path, report.grasp_id)
+    assert {p.name: p.read_bytes() for p in again.files} == first
 
 
-def test_the_table_of_energies_has_a_line_per_step(library: Path, made: Run):
-    report = explain_grasp(library, made.path, rows(made)[0][0])
+def test_the_table_of_energies_has_a_line_per_step(report: ExplainReport):
     (path,) = (p for p in report.files if p.suffix == ".csv")
     lines = list(csv.DictReader(path.read_text().splitlines()))
     assert len(lines) == 30 + 30 + 40 + 1
@@ -99,15 +118,16 @@ def test_the_table_of_energies_has_a_line_per_step(library: Path, made: Run):
         assert (line["region"] == "") == (line["phase"] in ("pregrasp", "grasp"))
 
 
-def test_an_attempt_that_no_row_keeps_is_explained_too(library: Path, made: Run):
+def test_an_attempt_that_no_row_keeps_is_explained_too(
+    library: Path, made: Run, report: ExplainReport
+):
     stored = {g for g, _, _ in rows(made)}
-    page = explain_grasp(library, made.path, rows(made)[0][0]).files[-1].read_text()
-    listed = [word for word in page.replace("*", " ").split() if len(word) == 16 and _is_hex(word)]
-    other = next(word for word in listed if word not in stored)
-    report = explain_grasp(library, made.path, other)
-    assert not report.stored
-    assert not report.as_dict()["selected"]
-    assert report.repeat.differing == ()
+    page = report.files[-1].read_text()  # lists all attempts of the scene
+    other = next(word for word in re.findall(r"\b[0-9a-f]{16}\b", page) if word not in stored)
+    one = explain_grasp(library, made.path, other)
+    assert not one.stored
+    assert not one.as_dict()["selected"]
+    assert one.repeat.differing == ()
 
 
 def test_the_first_digits_do_when_they_are_one_attempts(made: Run):
@@ -197,20 +217,19 @@ def test_rows_that_another_version_made_are_told_and_explained(
     assert "not repeated" in report.files[-1].read_text()
 
 
-def test_the_command_says_a_line_per_stage_and_the_same_as_json(
-    library: Path, made: Run, capsys: pytest.CaptureFixture
+def test_the_command_says_a_line_per_stage(
+    library: Path, made: Run, report: ExplainReport, capsys: pytest.CaptureFixture
 ):
-    grasp_id = rows(made)[0][0]
-    asked = ["synth", str(library), "--out", str(made.path), "--explain", grasp_id]
-    assert command([*asked, "--json"]) == 0
-    data = json.loads(capsys.readouterr().out)
+    asked = ["synth", str(library), "--out", str(made.path), "--explain", report.grasp_id]
     assert command(asked) == 0
     said = capsys.readouterr().out.splitlines()
     assert "bit for bit" in said[1]
-    stages = [s["stage"] for s in data["stages"]]
+    stages = [s.stage for s in report.said]
     assert [line.split()[0] for line in said[2 : 2 + len(stages)]] == stages
-    assert data["status"] in {s.label for s in Status}
     assert (stages[0], stages[-2:]) == ("regions", ["selection", "audit"])
+    told = json.loads(json.dumps(report.as_dict()))
+    assert [s["stage"] for s in told["stages"]] == stages
+    assert told["status"] == Status.OK.label
 
 
 def test_no_attempt_is_repeated_wrongly(made: Run):
@@ -222,7 +241,3 @@ def test_no_attempt_is_repeated_wrongly(made: Run):
         batch, columns={k: v for k, v in batch.columns.items() if k != "joints"}
     )
     assert same_rows(batch, without) == ("joints",)
-
-
-def _is_hex(word: str) -> bool:
-    return all(c in "0123456789abcdef" for c in word)

@@ -15,7 +15,7 @@ from bidexdata.synthesis.selection import SelectionConfig, failures, judge
 from bidexdata.synthesis.table import table_plane
 from bidexdata.synthesis.trace import TERMS
 
-GRASPS, CANDIDATES = 2, 6
+GRASPS, CANDIDATES = 2, 4
 # Stored as float32.
 F32 = 1e-6
 STEPS = {"approach": 20, "pregrasp": 6, "grasp": 7}
