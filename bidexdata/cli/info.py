@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from bidexdata.cli import options
-from bidexdata.cli.figures import figure_lines
+from bidexdata.cli.figures import attempt_lines, energy_lines, figure_lines
 from bidexdata.cli.groups import group_lines
 from bidexdata.cli.report import counts_text, finish, no_grasp_text, no_scene_text, validate_again
 from bidexdata.wording import counted
@@ -96,8 +96,10 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
     for stage, done in data["done"].items():
         lines.append(f"{stage}: {done} of {counted(data['tasks'], 'task')} done")
         lines += [_made_with_line(kind) for kind in data["made_with"][stage]]
+    sizes = data["figures"]["by_size"]
+    diagnosis = [*attempt_lines(sizes), *energy_lines(sizes)]
     if not data["protocols"]:
-        return lines + figure_lines(data["figures"])
+        return lines + figure_lines(data["figures"]) + diagnosis
     for protocol, figures in data["protocols"].items():
         again = validate_again(data["path"], protocol)
         tested = f"{figures['tested_rows']} of {counted(figures['n'], 'row')}"
@@ -108,7 +110,7 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
                 f"{counted(figures['untested_objects'], 'object')} (tested: {tested}), "
                 "which the rates leave out"
             )
-    return lines
+    return lines + diagnosis
 
 
 def _made_with_line(kind: dict[str, Any]) -> str:

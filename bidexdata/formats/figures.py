@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from bidexdata.formats.attempts import AttemptTally
 from bidexdata.formats.diversity import DiversityTally
 from bidexdata.formats.groups import BOUNDED, GroupTally, hands_label
 from bidexdata.record import GraspBatch, Status
@@ -35,7 +36,7 @@ class Tally:
         self._scenes: dict[tuple[str, str], tuple[str, int]] = {}
         self._kept_of: set[str] = set()  # scenes with a selected row
         self._rows: Counter[str] = Counter()
-        self._attempts: Counter[str] = Counter()
+        self._attempts = AttemptTally()
         self._verdicts: dict[str, Counter[str]] = {t: Counter() for t in tests}
         # (kind, test, size) -> object -> [successes, rows, rows wanted]
         self._trials: dict[tuple[str, str, int], dict[str, list[int]]] = defaultdict(dict)
@@ -77,8 +78,7 @@ class Tally:
         self._rows["stored"] += len(batch)
         self._rows["selected"] += _number(selected)
         self._rows["audit"] += _number(audit)
-        for counts in batch.header.counts.values():
-            self._attempts.update({k: int(v) for k, v in counts.items()})
+        self._attempts.add(batch, selected)
         for test in self.tests:
             if test in verdicts:
                 self._verdicts[test].update(_labels(verdicts[test]["verdict_status"]))
@@ -103,7 +103,7 @@ class Tally:
             "n": self._rows["stored"],
             "selected_rows": self._rows["selected"],
             "audit_rows": self._rows["audit"],
-            "by_status": dict(sorted(self._attempts.items())),
+            **self._attempts.figures(),
             "by_verdict": dict(sorted(self._verdicts[first].items())),
             "kept": _kept(self._kept.values()),
             **_means(metrics[measured]),
@@ -126,6 +126,7 @@ class Tally:
             group = groups[measured]["size"].get(str(size), {})
             out["by_size"][str(size)] = {
                 "kept": _kept([self._kept[size]]),
+                **self._attempts.figures(size),
                 **_means(group.get("metrics", {})),
                 **self._spread(size),
                 **{

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -133,6 +133,7 @@ def start_run(library: Library, out: Path, request: SynthRequest) -> Run:
     out.mkdir(parents=True, exist_ok=True)
     if spec != old:
         write_spec(out, spec)
+        open_unchanged.cache_clear()  # inline tasks of this process must see a new round
     _write_missing_rounds(library, out, spec, fresh=old is None)
     return Run(out, spec)
 
@@ -227,8 +228,10 @@ def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) ->
     path = shard_path(run.stage_folder("rows"), task.task_id)
     write_shard(path, batch.to_arrow(), run.fingerprint, device=device)
     counts: Counter[str] = Counter()
-    for found in batch.header.counts.values():
+    by_size: dict[int, Counter[str]] = defaultdict(Counter)
+    for scene_id, found in batch.header.counts.items():
         counts.update(found)
+        by_size[scene_of(scene_id, obj).size_mm].update(found)
     seconds = time.monotonic() - start
     logging.getLogger(__name__).info(
         "task %s: %d rows in %.1f s", task.task_id, len(batch), seconds
@@ -236,7 +239,8 @@ def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) ->
     good = int((batch["selected"] & (batch["synth_status"] == Status.OK)).sum())
     kept = set(batch["scene_id"][batch["selected"]].tolist())
     without = tuple(s for s in task.scene_ids if s not in kept)
-    return TaskSummary(len(batch), good, dict(counts), without)
+    sized = {size: dict(found) for size, found in by_size.items()}
+    return TaskSummary(len(batch), good, dict(counts), without, sized)
 
 
 def round_seed(seed: int, number: int) -> int:

@@ -17,7 +17,7 @@ from bidexdata.synthesis.forces import (
     joint_torques,
     shifted_residual,
 )
-from bidexdata.synthesis.optimise import closure_problem, optimise, read_pose
+from bidexdata.synthesis.optimise import closure_problem, optimise
 from bidexdata.synthesis.optimise_config import (
     AdamConfig,
     ClosureConfig,
@@ -26,6 +26,7 @@ from bidexdata.synthesis.optimise_config import (
     PhaseConfig,
 )
 from bidexdata.synthesis.pose import Pose
+from bidexdata.synthesis.readout import read_pose
 from bidexdata.synthesis.staging import StagingConfig, squeeze, torque_offsets
 from bidexdata.synthesis.workspace import Start, allocate
 from bidexdata.wrench.qp import QPConfig

@@ -1,0 +1,31 @@
+"""`bidexdata synth --explain`: how one grasp came about, or why it did not."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from bidexdata.cli.report import command, finish
+
+
+def explain(
+    library: Path, run: Path, grasp_id: str, device: str, *, as_json: bool, quiet: bool
+) -> None:
+    """Make one attempt again, write its pictures and numbers, and say what became of it."""
+    from bidexdata.runs.explain import explain_grasp
+    from bidexdata.runs.explain_page import headline
+
+    started = time.perf_counter()
+    report = explain_grasp(library, run, grasp_id, device=device)
+    seconds = time.perf_counter() - started
+    widest = max(len(s.stage) for s in report.said)
+    lines = [
+        *headline(report),
+        *(f"{s.stage:{widest}}  {s.text}" for s in report.said),
+        f"{', '.join(str(path) for path in report.files)} in {seconds:.1f} s",
+    ]
+    data = {**report.as_dict(), "seconds": round(seconds, 3)}
+    following = ""
+    if report.stored and report.as_dict()["status"] == "ok":
+        following = command("validate", run, "--replay", report.grasp_id, "--video", "grasp.mp4")
+    finish(data, lines, following=following, as_json=as_json, quiet=quiet)
