@@ -3,9 +3,21 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
+import typer
+
 from bidexdata.cli.report import command, finish
+
+
+def refuse_settings(given: Mapping[str, bool]) -> None:
+    """Refuse settings of a new run: those of the run that is explained decide."""
+    named = [option for option, is_given in given.items() if is_given]
+    if named:
+        raise typer.BadParameter(
+            f"--explain repeats a grasp with its run's own settings: leave out {', '.join(named)}"
+        )
 
 
 def explain(

@@ -10,6 +10,7 @@ import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.explain import explain as _explain
+from bidexdata.cli.explain import refuse_settings
 from bidexdata.cli.figures import attempt_lines
 from bidexdata.cli.report import (
     command,
@@ -90,6 +91,21 @@ def synth(
     the pictures and numbers mean.
     """
     if explain is not None:
+        refuse_settings(
+            {
+                "--hand": hand != "shadow",
+                "--sizes": sizes is not None,
+                "--grasps": grasps is not None,
+                "--candidates": candidates is not None,
+                "--setting": setting != "floating",
+                "--rest-poses": rest_poses is not None,
+                "--preset": preset != "default",
+                "--shard": shard is not None,
+                "--seed": seed != 0,
+                "--config": config is not None,
+                "--set": bool(assignments),
+            }
+        )
         _explain(library, out, explain, device, as_json=as_json, quiet=quiet)
         return
     started = time.perf_counter()

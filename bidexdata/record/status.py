@@ -82,7 +82,7 @@ _SENTENCES = {
     Status.NEAR_DUPLICATE: "an earlier input has nearly the same shape",
     Status.NO_FILE: "there is no such file",
     Status.NO_REGION_PAIR: "no two regions of the object are far enough apart and accessible",
-    Status.NO_PLACEMENT: "no hand pose clear of the object was found at the regions",
+    Status.NO_PLACEMENT: "no pose of the hands clear of each other and the table was found at the regions",
     Status.NOT_FINITE: "the optimisation produced numbers that are not finite",
     Status.PENETRATION_LEFT: "a hand still penetrates the object after the optimisation",
     Status.CONTACT_LOST: "a contact point ended too far from the object's surface",

@@ -172,7 +172,7 @@ def _pregrasp() -> PhaseConfig:
 
 def _grasp() -> PhaseConfig:
     return PhaseConfig(
-        steps=40, distance=0.0, step_position=0.0007, step_rotation=0.007, step_joints=0.015
+        steps=70, distance=0.0, step_position=0.0007, step_rotation=0.007, step_joints=0.015
     )
 
 
