@@ -79,6 +79,13 @@ def optimise(
     _settle(ws, config, config.pregrasp)
     pregrasp = read_pose(ws, hands)
     _settle(ws, config, config.grasp)
+    return found_at(ws, hands, pregrasp, config)
+
+
+def found_at(
+    ws: Workspace, hands: Sequence[Hand], pregrasp: Pose, config: OptimiseConfig
+) -> Optimised:
+    """Collect what stands on the device as the grasp, with its contacts and energies."""
     energies = _evaluate(ws, config)
     grasp = read_pose(ws, hands)
     contacts = ws.contacts

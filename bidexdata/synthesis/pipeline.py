@@ -14,7 +14,7 @@ import numpy as np
 from bidexdata.config import fingerprint
 from bidexdata.frames import quat_multiply, quat_rotate
 from bidexdata.record import GraspBatch, Scene, Status
-from bidexdata.synthesis.attempts import Attempts, draw_attempts, gather_starts
+from bidexdata.synthesis.attempts import Attempts
 from bidexdata.synthesis.config import SynthConfig
 from bidexdata.synthesis.forces import (
     ContactForces,
@@ -23,11 +23,11 @@ from bidexdata.synthesis.forces import (
     joint_torques,
     shifted_residual,
 )
-from bidexdata.synthesis.optimise import Optimised, optimise
+from bidexdata.synthesis.methods import MethodConfig, method_of
+from bidexdata.synthesis.optimise import Optimised
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.rows import scene_rows
 from bidexdata.synthesis.selection import audit, best, judge
-from bidexdata.synthesis.staging import squeeze
 
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
@@ -55,7 +55,7 @@ def synthesize(
     obj: PreparedObject,
     hands: tuple[Hand, Hand],
     scenes: Sequence[Scene],
-    config: SynthConfig | None = None,
+    config: MethodConfig | None = None,
     seed: int = 0,
     *,
     run_fingerprint: str = "",
@@ -70,7 +70,7 @@ def synthesize(
         obj: The object.
         hands: Left and right.
         scenes: Of this object; each is independent of the others.
-        config: All constants; the defaults when omitted.
+        config: All constants; its class says the method. Our defaults when omitted.
         seed: Of the run; each scene derives its own.
         run_fingerprint: Names the run in the grasps' ids.
         grasps: N, grasps kept per scene.
@@ -87,7 +87,8 @@ def synthesize(
         raise ValueError(f"every scene must be one of {obj.object_id}")
     count = candidates or config.selection.candidates_per_grasp * grasps
     grown = first_attempt > 0
-    attempts = [draw_attempts(obj, hands, s, config, seed, count, grown=grown) for s in scenes]
+    draw = method_of(config).draw
+    attempts = [draw(obj, hands, s, config, seed, count, grown=grown) for s in scenes]
     staged = _grasp(obj, hands, attempts, config, device)
     made = []
     for one, rows in zip(attempts, _rows_per_scene(attempts), strict=True):
@@ -101,7 +102,7 @@ def synthesize(
                 status=status,
                 selected=best(status, depth, residual, shifted, grasps, config.selection),
                 audit=audit(count, grasps, np.random.default_rng([one.seed, 2])),
-                steps=config.optimise.steps,
+                steps=config.steps,
                 first_attempt=first_attempt,
                 run_fingerprint=run_fingerprint,
                 fingerprints={"synth": fingerprint(config)},
@@ -114,19 +115,18 @@ def _grasp(
     obj: PreparedObject,
     hands: tuple[Hand, Hand],
     attempts: Sequence[Attempts],
-    config: SynthConfig,
+    config: MethodConfig,
     device: str,
 ) -> Staged:
-    """Optimise all starts, balance the contact forces, and aim the squeeze."""
-    found = optimise(obj, hands, gather_starts(attempts), config.optimise, device=device)
-    forces = contact_forces(
-        found.workspace, config.optimise.closure, config.selection.residual_iterations
-    )
+    """Find the poses of all starts, balance the contact forces, and aim the squeeze."""
+    method = method_of(config)
+    found = method.search(obj, hands, attempts, config, device=device)
+    forces = contact_forces(found.workspace, config.closure, config.selection.residual_iterations)
     select, staging = config.selection, config.staging
     shifted = shifted_residual(
         found.workspace,
-        config.optimise.closure,
-        config.optimise.energy.normal_step,
+        config.closure,
+        config.normal_step,
         shift=select.shift,
         sets=select.shifted_sets,
         iterations=select.shifted_iterations,
@@ -141,7 +141,7 @@ def _grasp(
         staging.force_per_weight,
     )
     torques = joint_torques(found.workspace, forces.forces * scale[:, :, None, None])
-    target = squeeze(found.pregrasp, found.grasp, torques, hands, staging)
+    target = method.aim(found, torques, hands, config)
     finite = found.pregrasp.finite() & found.grasp.finite() & target.finite()
     stages = (found.pregrasp, found.grasp, target)
     depth, among, table = _depths(obj, hands, attempts, stages, finite)

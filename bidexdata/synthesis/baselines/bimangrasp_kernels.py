@@ -1,0 +1,297 @@
+"""BimanGrasp's energies and its annealing as kernels. Axes: N grasps, M contact places, P points.
+
+Every sum is made by one thread in one order, so the bytes repeat. The float64 reference of the
+energies is in `bimangrasp_energies.py`.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+mat66d = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
+vec6d = wp.types.vector(length=6, dtype=wp.float64)
+
+SWEEPS = wp.constant(12)
+# Keeps the logarithms finite where contacts coincide; the released code adds noise of 1e-6 to G.
+LEAST_SQUARED = wp.constant(wp.float64(1.0e-12))
+TINY = wp.constant(1.0e-9)
+# Terms in the order of `Terms`: fc, dis, pen, spen, joints, vew.
+FC = wp.constant(0)
+DIS = wp.constant(1)
+PEN = wp.constant(2)
+SPEN = wp.constant(3)
+JOINTS = wp.constant(4)
+VEW = wp.constant(5)
+
+
+@wp.kernel
+def gather_contacts(
+    # Problem in: candidate number of each contact, and all candidates
+    index_in: wp.array2d[int],
+    centres_in: wp.array2d[wp.vec3],
+    # Problem out:
+    chosen_out: wp.array2d[wp.vec3],
+):
+    """Take the chosen contacts (N, H c) out of all candidates; hand h has its own half of M."""
+    grasp, i = wp.tid()
+    h = i // (index_in.shape[1] // 2)
+    place = h * (centres_in.shape[1] // 2) + index_in[grasp, i]
+    chosen_out[grasp, i] = centres_in[grasp, place]
+
+
+@wp.kernel
+def scatter_contacts(
+    # Problem in:
+    index_in: wp.array2d[int],
+    gradient_in: wp.array2d[wp.vec3],
+    # Problem out:
+    gradient_inout: wp.array2d[wp.vec3],
+):
+    """Add the gradients of the chosen contacts to their candidates'."""
+    grasp = wp.tid()
+    for i in range(index_in.shape[1]):
+        h = i // (index_in.shape[1] // 2)
+        place = h * (gradient_inout.shape[1] // 2) + index_in[grasp, i]
+        gradient_inout[grasp, place] = gradient_inout[grasp, place] + gradient_in[grasp, i]
+
+
+@wp.func
+def wrench_column(p: wp.vec3, n: wp.vec3) -> vec6d:
+    """Wrench of a unit force along n at p."""
+    t = wp.cross(p, n)
+    return vec6d(
+        wp.float64(n[0]),
+        wp.float64(n[1]),
+        wp.float64(n[2]),
+        wp.float64(t[0]),
+        wp.float64(t[1]),
+        wp.float64(t[2]),
+    )
+
+
+@wp.kernel
+def wrench_terms(
+    # Energy:
+    weight_fc: float,
+    weight_vew: float,
+    weight_dis: float,
+    # Problem in:
+    points_in: wp.array2d[wp.vec3],
+    normals_in: wp.array2d[wp.vec3],
+    distance_in: wp.array2d[float],
+    slope_in: wp.array2d[wp.vec3],
+    # Problem out:
+    terms_out: wp.array2d[float],
+    gradient_out: wp.array2d[wp.vec3],
+):
+    """E_fc, E_vew and E_dis of the chosen contacts, and their gradient with normals held."""
+    grasp = wp.tid()
+    s = mat66d()
+    v = mat66d()
+    for a in range(6):
+        v[a, a] = wp.float64(1.0)
+    for i in range(points_in.shape[1]):
+        w = wrench_column(points_in[grasp, i], normals_in[grasp, i])
+        s = s + wp.outer(w, w)
+    # Cyclic Jacobi rotations turn G G^T into diag(s), with the eigenvectors as columns of v.
+    for _sweep in range(SWEEPS):
+        for p in range(5):
+            for q in range(p + 1, 6):
+                if wp.abs(s[p, q]) > wp.float64(1.0e-15) * wp.sqrt(wp.abs(s[p, p] * s[q, q])):
+                    theta = (s[q, q] - s[p, p]) / (wp.float64(2.0) * s[p, q])
+                    t = wp.float64(1.0) / (
+                        wp.abs(theta) + wp.sqrt(theta * theta + wp.float64(1.0))
+                    )
+                    if theta < wp.float64(0.0):
+                        t = -t
+                    c = wp.float64(1.0) / wp.sqrt(t * t + wp.float64(1.0))
+                    z = t * c
+                    for k in range(6):
+                        kp = s[k, p]
+                        kq = s[k, q]
+                        s[k, p] = c * kp - z * kq
+                        s[k, q] = z * kp + c * kq
+                    for k in range(6):
+                        pk = s[p, k]
+                        qk = s[q, k]
+                        s[p, k] = c * pk - z * qk
+                        s[q, k] = z * pk + c * qk
+                    for k in range(6):
+                        vp = v[k, p]
+                        vq = v[k, q]
+                        v[k, p] = c * vp - z * vq
+                        v[k, q] = z * vp + c * vq
+    top = int(0)
+    low = int(0)
+    logs = wp.float64(0.0)
+    for a in range(6):
+        if s[a, a] > s[top, top]:
+            top = a
+        if s[a, a] < s[low, low]:
+            low = a
+        logs += wp.float64(0.5) * wp.log(wp.max(s[a, a], LEAST_SQUARED))
+    large = wp.sqrt(wp.max(s[top, top], LEAST_SQUARED))
+    small = wp.sqrt(wp.max(s[low, low], LEAST_SQUARED))
+    cond = large / small
+    vew = wp.exp(-logs / wp.float64(10.0))
+    terms_out[grasp, FC] = float(wp.log(cond + wp.float64(1.0)) / wp.float64(10.0))
+    terms_out[grasp, VEW] = float(vew)
+    by_cond = wp.float64(weight_fc) / (wp.float64(10.0) * (cond + wp.float64(1.0)))
+    by_logs = -wp.float64(weight_vew) * vew / wp.float64(10.0)
+    distance = float(0.0)
+    for i in range(points_in.shape[1]):
+        p = points_in[grasp, i]
+        n = normals_in[grasp, i]
+        w = wrench_column(p, n)
+        # d sigma / d column = (u . column) / sigma u; the sum of logs has them all.
+        g = vec6d()
+        for a in range(6):
+            u = vec6d(v[0, a], v[1, a], v[2, a], v[3, a], v[4, a], v[5, a])
+            along = wp.dot(u, w)
+            size = wp.max(s[a, a], LEAST_SQUARED)
+            g = g + (by_logs * along / size) * u
+            if a == top:
+                g = g + (by_cond * along / (large * small)) * u
+            if a == low:
+                g = g - (by_cond * cond * along / (small * small)) * u
+        torque = wp.vec3(float(g[3]), float(g[4]), float(g[5]))
+        distance += wp.abs(distance_in[grasp, i])
+        pull = weight_dis * wp.sign(distance_in[grasp, i]) * slope_in[grasp, i]
+        gradient_out[grasp, i] = pull + wp.cross(n, torque)
+    terms_out[grasp, DIS] = distance
+
+
+@wp.kernel
+def points_in_hand(
+    # Hand:
+    radius: wp.array[float],
+    # Problem in:
+    points_in: wp.array2d[wp.vec3],
+    spheres_in: wp.array2d[wp.vec3],
+    low_in: wp.array[wp.vec3],
+    high_in: wp.array[wp.vec3],
+    # Problem out:
+    owner_out: wp.array2d[int],
+):
+    """The sphere that each point is deepest in; -1 outside all."""
+    grasp, i = wp.tid()
+    x = points_in[grasp, i]
+    owner = int(-1)
+    if wp.length_sq(x - wp.min(wp.max(x, low_in[grasp]), high_in[grasp])) == 0.0:
+        deepest = float(0.0)
+        for k in range(radius.shape[0]):
+            offset = x - spheres_in[grasp, k]
+            squared = wp.length_sq(offset)
+            if squared < radius[k] * radius[k]:
+                depth = radius[k] - wp.sqrt(squared)
+                if depth > deepest:
+                    deepest = depth
+                    owner = k
+    owner_out[grasp, i] = owner
+
+
+@wp.kernel
+def push_hand(
+    # Hand:
+    radius: wp.array[float],
+    # Energy:
+    weight: float,
+    term: int,
+    # Problem in:
+    owner_in: wp.array2d[int],
+    points_in: wp.array2d[wp.vec3],
+    spheres_in: wp.array2d[wp.vec3],
+    # Problem out:
+    terms_inout: wp.array2d[float],
+    gradient_inout: wp.array2d[wp.vec3],
+):
+    """Sum the depths of the points in a hand; adds to the spheres' gradient."""
+    grasp = wp.tid()
+    total = float(0.0)
+    for i in range(points_in.shape[1]):
+        k = owner_in[grasp, i]
+        if k >= 0:
+            offset = points_in[grasp, i] - spheres_in[grasp, k]
+            d = wp.length(offset)
+            total += radius[k] - d
+            push = (weight / wp.max(d, TINY)) * offset
+            gradient_inout[grasp, k] = gradient_inout[grasp, k] + push
+    terms_inout[grasp, term] = terms_inout[grasp, term] + total
+
+
+@wp.kernel
+def push_points(
+    # Energy:
+    weight: float,
+    # Problem in:
+    owner_in: wp.array2d[int],
+    points_in: wp.array2d[wp.vec3],
+    spheres_in: wp.array2d[wp.vec3],
+    # Problem out:
+    gradient_inout: wp.array2d[wp.vec3],
+):
+    """The same with respect to the points, where they move."""
+    grasp, i = wp.tid()
+    k = owner_in[grasp, i]
+    if k >= 0:
+        offset = points_in[grasp, i] - spheres_in[grasp, k]
+        push = (-weight / wp.max(wp.length(offset), TINY)) * offset
+        gradient_inout[grasp, i] = gradient_inout[grasp, i] + push
+
+
+@wp.kernel
+def near_keypoints(
+    # Hand:
+    pairs: wp.array2d[int],
+    # Energy:
+    weight: float,
+    reach: float,
+    # Problem in:
+    centres_in: wp.array2d[wp.vec3],
+    # Problem out:
+    terms_inout: wp.array2d[float],
+    gradient_inout: wp.array2d[wp.vec3],
+):
+    """Sum how much nearer than `reach` pairs of a hand's spheres are, both ways round."""
+    grasp = wp.tid()
+    total = float(0.0)
+    for p in range(pairs.shape[0]):
+        a = pairs[p, 0]
+        b = pairs[p, 1]
+        offset = centres_in[grasp, a] - centres_in[grasp, b]
+        squared = wp.length_sq(offset)
+        if squared < reach * reach:
+            d = wp.sqrt(squared)
+            total += 2.0 * (reach - d)
+            push = (-2.0 * weight / wp.max(d, TINY)) * offset
+            gradient_inout[grasp, a] = gradient_inout[grasp, a] + push
+            gradient_inout[grasp, b] = gradient_inout[grasp, b] - push
+    terms_inout[grasp, SPEN] = terms_inout[grasp, SPEN] + total
+
+
+@wp.kernel
+def beyond_limits(
+    # Hand:
+    lower: wp.array[float],
+    upper: wp.array[float],
+    # Energy:
+    weight: float,
+    # Problem in:
+    joints_in: wp.array2d[float],
+    # Problem out:
+    terms_inout: wp.array2d[float],
+    gradient_inout: wp.array2d[float],
+):
+    """Sum how far free variables are beyond their limits; adds to the hand's gradient."""
+    grasp = wp.tid()
+    total = float(0.0)
+    for d in range(joints_in.shape[1]):
+        over = joints_in[grasp, d] - upper[d]
+        under = lower[d] - joints_in[grasp, d]
+        if over > 0.0:
+            total += over
+            gradient_inout[grasp, 6 + d] = gradient_inout[grasp, 6 + d] + weight
+        if under > 0.0:
+            total += under
+            gradient_inout[grasp, 6 + d] = gradient_inout[grasp, 6 + d] - weight
+    terms_inout[grasp, JOINTS] = terms_inout[grasp, JOINTS] + total
