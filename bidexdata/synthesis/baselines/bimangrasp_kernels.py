@@ -6,12 +6,15 @@ energies is in `bimangrasp_energies.py`.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+# Loops of 12 x 15 x 18 steps would become that many lines.
+wp.set_module_options({"enable_backward": False, "max_unroll": 0})
 
 mat66d = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
 vec6d = wp.types.vector(length=6, dtype=wp.float64)
 
 SWEEPS = wp.constant(12)
+# Off-diagonal entries of this share of the diagonal's count as zero.
+SMALL = wp.constant(wp.float64(1.0e-15))
 # Keeps the logarithms finite where contacts coincide; the released code adds noise of 1e-6 to G.
 LEAST_SQUARED = wp.constant(wp.float64(1.0e-12))
 TINY = wp.constant(1.0e-9)
@@ -69,6 +72,40 @@ def wrench_column(p: wp.vec3, n: wp.vec3) -> vec6d:
     )
 
 
+@wp.func
+def eigen(gram: mat66d):
+    """Eigenvalues of a symmetric matrix on a diagonal, and eigenvectors as columns (Jacobi)."""
+    s = gram
+    v = wp.identity(n=6, dtype=wp.float64)
+    one = wp.float64(1.0)
+    for _sweep in range(SWEEPS):
+        for a in range(5):
+            for b in range(a + 1, 6):
+                if wp.abs(s[a, b]) > SMALL * wp.sqrt(wp.abs(s[a, a] * s[b, b])):
+                    theta = (s[b, b] - s[a, a]) / (wp.float64(2.0) * s[a, b])
+                    t = one / (wp.abs(theta) + wp.sqrt(theta * theta + one))
+                    if theta < wp.float64(0.0):
+                        t = -t
+                    c = one / wp.sqrt(t * t + one)
+                    z = t * c
+                    for k in range(6):
+                        left = s[k, a]
+                        right = s[k, b]
+                        s[k, a] = c * left - z * right
+                        s[k, b] = z * left + c * right
+                    for k in range(6):
+                        left = s[a, k]
+                        right = s[b, k]
+                        s[a, k] = c * left - z * right
+                        s[b, k] = z * left + c * right
+                    for k in range(6):
+                        left = v[k, a]
+                        right = v[k, b]
+                        v[k, a] = c * left - z * right
+                        v[k, b] = z * left + c * right
+    return s, v
+
+
 @wp.kernel
 def wrench_terms(
     # Energy:
@@ -86,41 +123,11 @@ def wrench_terms(
 ):
     """E_fc, E_vew and E_dis of the chosen contacts, and their gradient with normals held."""
     grasp = wp.tid()
-    s = mat66d()
-    v = mat66d()
-    for a in range(6):
-        v[a, a] = wp.float64(1.0)
+    gram = mat66d()
     for i in range(points_in.shape[1]):
         w = wrench_column(points_in[grasp, i], normals_in[grasp, i])
-        s = s + wp.outer(w, w)
-    # Cyclic Jacobi rotations turn G G^T into diag(s), with the eigenvectors as columns of v.
-    for _sweep in range(SWEEPS):
-        for p in range(5):
-            for q in range(p + 1, 6):
-                if wp.abs(s[p, q]) > wp.float64(1.0e-15) * wp.sqrt(wp.abs(s[p, p] * s[q, q])):
-                    theta = (s[q, q] - s[p, p]) / (wp.float64(2.0) * s[p, q])
-                    t = wp.float64(1.0) / (
-                        wp.abs(theta) + wp.sqrt(theta * theta + wp.float64(1.0))
-                    )
-                    if theta < wp.float64(0.0):
-                        t = -t
-                    c = wp.float64(1.0) / wp.sqrt(t * t + wp.float64(1.0))
-                    z = t * c
-                    for k in range(6):
-                        kp = s[k, p]
-                        kq = s[k, q]
-                        s[k, p] = c * kp - z * kq
-                        s[k, q] = z * kp + c * kq
-                    for k in range(6):
-                        pk = s[p, k]
-                        qk = s[q, k]
-                        s[p, k] = c * pk - z * qk
-                        s[q, k] = z * pk + c * qk
-                    for k in range(6):
-                        vp = v[k, p]
-                        vq = v[k, q]
-                        v[k, p] = c * vp - z * vq
-                        v[k, q] = z * vp + c * vq
+        gram = gram + wp.outer(w, w)
+    s, v = eigen(gram)
     top = int(0)
     low = int(0)
     logs = wp.float64(0.0)
