@@ -207,14 +207,18 @@ def _collision_calls(state: Annealing, energy: BimanGraspEnergyConfig) -> list[C
         radius, spheres = hand.model.sphere_radius, hand.points.sphere
         push, owner = hand.points.sphere_grad, kept.owner
         box = [radius, spheres, hand.low, hand.high]
-        inside = [radius, state.points, spheres, hand.low, hand.high, owner]
+        near = wp.zeros(spheres.shape, dtype=int, device=ws.device)
+        count = wp.zeros(one, dtype=int, device=ws.device)
+        listed = [radius, ws.field, ws.size, spheres, near, count]
+        inside = [radius, near, count, state.points, spheres, hand.low, hand.high, owner]
         depth = [radius, energy.pen, int(k.PEN), owner, state.points, spheres, state.terms, push]
-        near = [hand.model.self_pairs, energy.spen, energy.keypoint_reach, spheres]
+        keypoints = [hand.model.self_pairs, energy.spen, energy.keypoint_reach, spheres]
         calls += [
             chain.recorded(ws, sphere_kernels.hand_box, one, box),
+            chain.recorded(ws, k.spheres_at_surface, one, listed),
             chain.recorded(ws, k.points_in_hand, state.points.shape, inside),
             chain.recorded(ws, k.push_hand, one, depth),
-            chain.recorded(ws, k.near_keypoints, one, [*near, state.terms, push]),
+            chain.recorded(ws, k.near_keypoints, one, [*keypoints, state.terms, push]),
         ]
     return [*calls, *_between_hands(state, energy)]
 
@@ -229,7 +233,10 @@ def _between_hands(state: Annealing, energy: BimanGraspEnergyConfig) -> list[Cal
     points, pull = right.points.contact[:, start:], right.points.contact_grad[:, start:]
     owner = wp.zeros(points.shape, dtype=int, device=ws.device)
     radius, spheres, push = left.model.sphere_radius, left.points.sphere, left.points.sphere_grad
-    inside = [radius, points, spheres, left.low, left.high, owner]
+    every = np.tile(np.arange(spheres.shape[1], dtype=np.int32), (ws.count, 1))
+    near = wp.array(every, dtype=int, device=ws.device)
+    count = wp.full(ws.count, spheres.shape[1], dtype=int, device=ws.device)
+    inside = [radius, near, count, points, spheres, left.low, left.high, owner]
     depth = [radius, energy.spen, int(k.SPEN), owner, points, spheres, state.terms, push]
     return [
         chain.recorded(ws, k.points_in_hand, points.shape, inside),
