@@ -40,18 +40,18 @@ def normal_wrenches(
 def closure_energy(G: Float[np.ndarray, "*b 6 C"]) -> Float[np.ndarray, "*b"]:
     """Give E_fc = log(cond(G) + 1) / 10; the sign of a normal does not matter."""
     s = np.linalg.svd(G, compute_uv=False)
-    return np.log(s[..., 0] / s[..., -1] + 1.0) / 10.0
+    return np.asarray(np.log(s[..., 0] / s[..., -1] + 1.0) / 10.0)
 
 
 def wrench_volume_energy(G: Float[np.ndarray, "*b 6 C"]) -> Float[np.ndarray, "*b"]:
     """Give E_vew = exp(-(sum of the logarithms of G's singular values) / 10)."""
     s = np.linalg.svd(G, compute_uv=False)
-    return np.exp(-np.sum(np.log(s), axis=-1) / 10.0)
+    return np.asarray(np.exp(-np.sum(np.log(s), axis=-1) / 10.0))
 
 
 def distance_energy(distance: Float[np.ndarray, "*b C"]) -> Float[np.ndarray, "*b"]:
     """Sum the absolute distances of the contacts from the surface, E_dis [m]."""
-    return np.sum(np.abs(distance), axis=-1)
+    return np.asarray(np.sum(np.abs(distance), axis=-1))
 
 
 def depth_in_spheres(
@@ -61,12 +61,12 @@ def depth_in_spheres(
 ) -> Float[np.ndarray, "*b P"]:
     """How deep points lie in the deepest of a hand's spheres [m], negative outside."""
     away = np.linalg.norm(points[..., :, None, :] - centres[..., None, :, :], axis=-1)
-    return np.max(radius - away, axis=-1)
+    return np.asarray(np.max(radius - away, axis=-1))
 
 
 def penetration_energy(depth: Float[np.ndarray, "*b P"]) -> Float[np.ndarray, "*b"]:
     """Sum the depths of points inside a hand: E_pen, and the part of E_spen between hands [m]."""
-    return np.sum(np.maximum(depth, 0.0), axis=-1)
+    return np.asarray(np.sum(np.maximum(depth, 0.0), axis=-1))
 
 
 def keypoint_energy(
@@ -77,7 +77,7 @@ def keypoint_energy(
     A pair counts twice, as in the released code, whose sum runs over ordered pairs.
     """
     offset = keypoints[..., pairs[:, 0], :] - keypoints[..., pairs[:, 1], :]
-    return 2.0 * np.sum(np.maximum(reach - np.linalg.norm(offset, axis=-1), 0.0), axis=-1)
+    return np.asarray(2.0 * np.sum(np.maximum(reach - np.linalg.norm(offset, axis=-1), 0.0), axis=-1))
 
 
 def joint_energy(
@@ -86,4 +86,4 @@ def joint_energy(
     upper: Float[np.ndarray, " J"],
 ) -> Float[np.ndarray, "*b"]:
     """Sum how far joints are beyond their limits, E_joints [rad]."""
-    return np.sum(np.maximum(joints - upper, 0.0) + np.maximum(lower - joints, 0.0), axis=-1)
+    return np.asarray(np.sum(np.maximum(joints - upper, 0.0) + np.maximum(lower - joints, 0.0), axis=-1))
