@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from bidexdata.errors import UnknownName
 from bidexdata.synthesis import optimise as bilevel
@@ -32,6 +32,7 @@ MethodConfig = SynthConfig | BodexConfig | BimanGraspConfig
 """Configurations; the class says the method."""
 
 
+@runtime_checkable
 class Draw(Protocol):
     """Where the hands of `count` attempts of a scene start."""
 
@@ -48,6 +49,7 @@ class Draw(Protocol):
     ) -> Attempts: ...
 
 
+@runtime_checkable
 class Search(Protocol):
     """Pre-grasps and grasps of all starts, in their order."""
 
@@ -62,6 +64,7 @@ class Search(Protocol):
     ) -> Optimised: ...
 
 
+@runtime_checkable
 class Aim(Protocol):
     """The squeeze of grasps, given the joint torques that would press."""
 

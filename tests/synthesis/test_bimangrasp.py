@@ -48,7 +48,7 @@ def near(obj, hands, rules, count=3):
     state = bimangrasp.prepared(obj, hands, starts(obj, hands, rules, count), rules, "cpu")
     for hand in state.ws.hands:
         at = hand.position.numpy()
-        hand.position.assign(0.45 * at)
+        hand.position.assign(0.2 * at)
     return state
 
 
@@ -111,16 +111,18 @@ def test_kernels_agree_with_the_float64_reference(obj, hands):
     np.testing.assert_allclose(got, np.stack(want, axis=1), rtol=FLOAT32, atol=1e-6)
 
 
-def test_the_gradient_is_the_central_difference_in_random_directions(obj, hands):
-    # Normals are held in the gradient, so their terms are left out here and tested below.
-    rules = config("energy.fc=0.0", "energy.vew=0.0", "energy.spen=125.0", "energy.joints=3.0")
+@pytest.mark.parametrize("term", ["dis", "pen", "spen", "joints"])
+def test_the_gradient_is_the_central_difference_in_random_directions(obj, hands, term):
+    # Normals are held in the gradient of the other two, which are tested below.
+    rules = config(*[f"energy.{n}={1.0 * (n == term)}" for n in energies.Terms._fields])
     state = near(obj, hands, rules)
     for hand in state.ws.hands:  # some joints beyond their limits
         hand.joints.assign(hand.joints.numpy() + 0.7)
     index = annealing.first_contacts(state, rules.energy)
-    evaluated(state, rules, index)
-    rng, step = np.random.default_rng(3), 2e-4
+    # Short, for depths have a kink where a point comes in.
+    rng, step = np.random.default_rng(3), 3e-5
     for hand in state.ws.hands:
+        evaluated(state, rules, index)
         gradient = hand.points.gradient.numpy().astype(np.float64).copy()
         position, rotation, joints = (
             a.numpy().copy() for a in (hand.position, hand.rotation, hand.joints)
@@ -137,7 +139,7 @@ def test_the_gradient_is_the_central_difference_in_random_directions(obj, hands)
                 hand.joints.assign((joints + move[6:]).astype(np.float32))
                 found.append(evaluated(state, rules, index)[1])
             slope = (found[0] - found[1]) / (2 * step)
-            np.testing.assert_allclose(gradient @ along, slope, rtol=SLOPE, atol=0.5)
+            np.testing.assert_allclose(gradient @ along, slope, rtol=SLOPE, atol=0.03)
         for array, old in ((hand.position, position), (hand.rotation, rotation)):
             array.assign(old)
         hand.joints.assign(joints)

@@ -13,6 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+LEAST_SINGULAR = 1e-6
+"""Singular values count as at least this [-]: the released code adds noise of this size to G."""
+
 
 class Terms(NamedTuple):
     """Unweighted energies of N grasps."""
@@ -39,13 +42,13 @@ def normal_wrenches(
 
 def closure_energy(G: Float[np.ndarray, "*b 6 C"]) -> Float[np.ndarray, "*b"]:
     """Give E_fc = log(cond(G) + 1) / 10; the sign of a normal does not matter."""
-    s = np.linalg.svd(G, compute_uv=False)
+    s = np.maximum(np.linalg.svd(G, compute_uv=False), LEAST_SINGULAR)
     return np.asarray(np.log(s[..., 0] / s[..., -1] + 1.0) / 10.0)
 
 
 def wrench_volume_energy(G: Float[np.ndarray, "*b 6 C"]) -> Float[np.ndarray, "*b"]:
     """Give E_vew = exp(-(sum of the logarithms of G's singular values) / 10)."""
-    s = np.linalg.svd(G, compute_uv=False)
+    s = np.maximum(np.linalg.svd(G, compute_uv=False), LEAST_SINGULAR)
     return np.asarray(np.exp(-np.sum(np.log(s), axis=-1) / 10.0))
 
 

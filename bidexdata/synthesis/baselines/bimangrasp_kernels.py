@@ -17,7 +17,7 @@ vec6d = wp.types.vector(length=6, dtype=wp.float64)
 SWEEPS = wp.constant(12)
 # Off-diagonal entries of this share of the diagonal's count as zero.
 SMALL = wp.constant(wp.float64(1.0e-15))
-# Keeps the logarithms finite where contacts coincide; the released code adds noise of 1e-6 to G.
+# The square of `LEAST_SINGULAR`.
 LEAST_SQUARED = wp.constant(wp.float64(1.0e-12))
 TINY = wp.constant(1.0e-9)
 # Distances of the field may be off by this share of the object's size near its surface.

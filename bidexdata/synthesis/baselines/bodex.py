@@ -101,7 +101,7 @@ def _approach_calls(ws: Workspace, config: BodexConfig) -> list[list[chain.Call]
             *chain.distance_term(ws, energy, distance),
             *chain.closure_term(ws, qp, weight, config.qp, iterations),
             *chain.chain_to_centres(ws, energy),
-            *chain.collision_terms(ws, energy, _reach(ws, config, distance)),
+            *chain.collision_terms(ws, energy, sphere_reach(ws, config, distance)),
             *chain.backward(ws),
         ]
 
@@ -117,7 +117,7 @@ def _settle_calls(ws: Workspace, config: BodexConfig, stage: int) -> list[chain.
     return [
         *chain.kinematics(ws),
         *chain.target_term(ws, energy, distance),
-        *chain.collision_terms(ws, energy, _reach(ws, config, distance)),
+        *chain.collision_terms(ws, energy, sphere_reach(ws, config, distance)),
         *chain.backward(ws),
     ]
 
@@ -138,7 +138,7 @@ def _iterate(
             move(step)
 
 
-def _reach(ws: Workspace, config: BodexConfig, distance: float) -> list[Any]:
+def sphere_reach(ws: Workspace, config: BodexConfig, distance: float) -> list[Any]:
     """Radius and margin of each sphere; the first ones of a hand are its contact spheres [m]."""
     own, found = config.energy, []
     for h, hand in enumerate(ws.hands):
