@@ -99,9 +99,7 @@ def figures(run: Run) -> dict[str, Any]:
         "pd": found["pd"],
         "spd": found["spd"],
         "cdc": found["cdc"],
-        "by_size": {
-            mm: one["unselected_f"]["rate"] for mm, one in found["by_size"].items()
-        },
+        "by_size": {mm: one["unselected_f"]["rate"] for mm, one in found["by_size"].items()},
         "by_verdict": found["by_verdict"],
         "per_second": attempts / wall,
         "per_cpu_second": attempts / cpu,
@@ -178,7 +176,9 @@ def _synthesise(
         _compile(library, asked, name)
         warm.add(name)
     cpu = time.process_time()
-    report = synth_library(asked.library, run.path, _request(asked, name), execution=_one(run, number))
+    report = synth_library(
+        asked.library, run.path, _request(asked, name), execution=_one(run, number)
+    )
     cpu = time.process_time() - cpu
     if report.failures:
         sys.exit(f"{run.path}: {report.failures[0].reason}")
@@ -214,7 +214,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("library", type=Path)
     parser.add_argument("--out", type=Path, required=True, help="folder of the runs; resumed")
-    parser.add_argument("--every", type=int, default=6, help="every so many-th object (%(default)s)")
+    parser.add_argument(
+        "--every", type=int, default=6, help="every so many-th object (%(default)s)"
+    )
     parser.add_argument("--limit", type=int, help="at most so many of them")
     parser.add_argument("--methods", default=",".join(METHODS), help="%(default)s")
     parser.add_argument("--sizes", default="0.3,0.5,0.8", help="diagonals in metres (%(default)s)")

@@ -61,10 +61,14 @@ class PeerHand(NamedTuple):
 def stored(folder: Path) -> dict[str, np.ndarray]:
     """Read the stored poses and terms."""
     with np.load(folder / "grasps.npz") as data:
-        return {k: data[k].astype(np.float64) if data[k].dtype == np.float32 else data[k] for k in data}
+        return {
+            k: data[k].astype(np.float64) if data[k].dtype == np.float32 else data[k] for k in data
+        }
 
 
-def our_terms(folder: Path, seeds: Sequence[int] = (1, 2, 3, 4)) -> tuple[energies.Terms, list[Contacts]]:
+def our_terms(
+    folder: Path, seeds: Sequence[int] = (1, 2, 3, 4)
+) -> tuple[energies.Terms, list[Contacts]]:
     """Compute the six terms of every stored pose.
 
     Args:
@@ -186,9 +190,7 @@ def _depths(
 
 def _near(hand: PeerHand, placed: tuple[np.ndarray, np.ndarray], reach: float) -> float:
     position, R = placed
-    points = np.concatenate(
-        [own @ R[b].T + position[b] for b, own in enumerate(hand.keypoints)]
-    )
+    points = np.concatenate([own @ R[b].T + position[b] for b, own in enumerate(hand.keypoints)])
     pairs = np.stack(np.triu_indices(len(points), k=1), axis=1)
     # Links have keypoints in common, which the peer does not count.
     apart = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1) > 1e-6

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from bidexdata.cli.main import run as cli
@@ -83,7 +84,8 @@ def test_a_peers_run_resumes_and_later_commands_take_it(library, tmp_path, capsy
     (before,) = opened.batches()
     assert cli(made) == 0  # nothing is left to do
     (after,) = Run.open(run).batches()
-    assert before.to_arrow().equals(after.to_arrow())
+    for column in before.columns:
+        np.testing.assert_array_equal(before[column], after[column])
     assert cli(["validate", str(run), "--executor", "inline", "--quiet"]) in {0, 6}
     described = describe_run(Run.open(run))
     assert described["method"] == name

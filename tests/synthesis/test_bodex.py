@@ -40,7 +40,9 @@ def test_hull_points_lie_a_dilation_off_the_faces_of_a_box(obj):
     beyond = np.max(np.abs(found.points) - half, axis=1)
     assert len(found.points) == 128
     assert np.all(beyond <= way + 1e-6)
-    assert np.median(beyond) == pytest.approx(way, abs=0.01)
+    on_face = np.abs(found.normals).max(axis=1) > 1 - 1e-6  # the others lie on chamfers
+    assert np.mean(on_face) > 0.3
+    np.testing.assert_allclose(beyond[on_face], way, atol=1e-6)
     assert np.all(np.sum(found.normals * found.points, axis=1) > 0)
 
 

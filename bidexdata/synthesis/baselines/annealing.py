@@ -241,7 +241,9 @@ def _between_hands(state: Annealing, energy: BimanGraspEnergyConfig) -> list[Cal
     return [
         chain.recorded(ws, k.points_in_hand, points.shape, inside),
         chain.recorded(ws, k.push_hand, (ws.count,), depth),
-        chain.recorded(ws, k.push_points, points.shape, [energy.spen, owner, points, spheres, pull]),
+        chain.recorded(
+            ws, k.push_points, points.shape, [energy.spen, owner, points, spheres, pull]
+        ),
     ]
 
 

@@ -39,7 +39,9 @@ def running_squares(
 
 
 @wp.func
-def moved(g: float, mean: float, step: float, temperature: float, noise: float, lot: float) -> float:
+def moved(
+    g: float, mean: float, step: float, temperature: float, noise: float, lot: float
+) -> float:
     """Change of one variable: down the scaled gradient, and Langevin noise of the same scale."""
     scaled = step / (wp.sqrt(mean) + GUARD)
     return -scaled * g + noise * wp.sqrt(2.0 * scaled * temperature) * lot

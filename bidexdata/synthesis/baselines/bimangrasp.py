@@ -120,9 +120,7 @@ def closing_joints(hand: Hand, least: float) -> Float[np.ndarray, " J"]:
     return sense
 
 
-def opened(
-    grasp: Pose, hands: Sequence[Hand], config: BimanGraspStagingConfig
-) -> Pose:
+def opened(grasp: Pose, hands: Sequence[Hand], config: BimanGraspStagingConfig) -> Pose:
     """The pre-grasp of grasps that have none: palms drawn back, fingers opened.
 
     Source:

@@ -80,7 +80,9 @@ def keypoint_energy(
     A pair counts twice, as in the released code, whose sum runs over ordered pairs.
     """
     offset = keypoints[..., pairs[:, 0], :] - keypoints[..., pairs[:, 1], :]
-    return np.asarray(2.0 * np.sum(np.maximum(reach - np.linalg.norm(offset, axis=-1), 0.0), axis=-1))
+    return np.asarray(
+        2.0 * np.sum(np.maximum(reach - np.linalg.norm(offset, axis=-1), 0.0), axis=-1)
+    )
 
 
 def joint_energy(
@@ -89,4 +91,6 @@ def joint_energy(
     upper: Float[np.ndarray, " J"],
 ) -> Float[np.ndarray, "*b"]:
     """Sum how far joints are beyond their limits, E_joints [rad]."""
-    return np.asarray(np.sum(np.maximum(joints - upper, 0.0) + np.maximum(lower - joints, 0.0), axis=-1))
+    return np.asarray(
+        np.sum(np.maximum(joints - upper, 0.0) + np.maximum(lower - joints, 0.0), axis=-1)
+    )

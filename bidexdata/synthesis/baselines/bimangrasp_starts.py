@@ -105,7 +105,9 @@ def _start(
         [np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), np.cos(angle)]
     )
     c, s = np.cos(2.0 * np.pi * roll), np.sin(2.0 * np.pi * roll)
-    palm = frames.rotation_with_z(direction) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    palm = frames.rotation_with_z(direction) @ np.array(
+        [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]
+    )
     back = config.least_distance + way * (config.largest_distance - config.least_distance)
     R = palm @ hand.T_hand_palm[:3, :3].T
     return point - back * direction - R @ hand.T_hand_palm[:3, 3], R

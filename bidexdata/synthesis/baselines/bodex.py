@@ -75,8 +75,16 @@ def aim(
 
 
 def variable_groups(hand: Hand) -> Int[np.ndarray, " D"]:
-    """Finger of each free variable, as a number; -1 for those of no finger."""
+    """Finger of each free variable, as a number; -1 for those of no finger.
+
+    What carries a finger alone, as the metacarpal of the little finger, belongs to it.
+    """
     of_body = {name: k for k, names in enumerate(hand.fingers.values()) for name in names}
+    for k, names in enumerate(hand.fingers.values()):
+        body = hand.body_names.index(names[0])
+        while body > 0:
+            of_body.setdefault(hand.body_names[body], k)
+            body = int(hand.body_parent[body])
     group = np.full(hand.coupling.shape[1], -1, np.int32)
     for body, joint in enumerate(hand.body_joint):
         if joint >= 0:
