@@ -95,4 +95,4 @@ def test_a_peers_run_resumes_and_later_commands_take_it(library, tmp_path, capsy
     out = tmp_path / "release"
     packed = ["pack", str(run), "--out", str(out), "--name", "n", "--version", "1.0.0", "--quiet"]
     assert cli(packed) == 0
-    assert cli(["verify", str(out), "--full", "--quiet"]) == 0
+    assert cli(["verify", str(out), "--quiet"]) == 0

@@ -143,7 +143,7 @@ def judge_proposals(
     for k in range(terms_in.shape[1]):
         energy += weights[k] * terms_in[grasp, k]
     lots = wp.rand_init(seed[grasp] + 3, number)
-    taken = int(0)
+    taken = wp.int32(0)
     # A proposal without an energy compares as false and is refused.
     if number == 0 or wp.randf(lots) < wp.exp((energy_inout[grasp] - energy) / temperature):
         taken = 1

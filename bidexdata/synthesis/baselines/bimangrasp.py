@@ -121,7 +121,7 @@ def closing_joints(hand: Hand, least: float) -> Float[np.ndarray, " J"]:
 
 
 def opened(grasp: Pose, hands: Sequence[Hand], config: BimanGraspStagingConfig) -> Pose:
-    """The pre-grasp of grasps that have none: palms drawn back, fingers opened.
+    """The pre-grasp of grasps that have none: palms drawn back, fingers opened within limits.
 
     Source:
         BiDexGrasp, section 6, how BimanGrasp's grasps were tested.
@@ -133,7 +133,8 @@ def opened(grasp: Pose, hands: Sequence[Hand], config: BimanGraspStagingConfig) 
         out = np.sum(R[:, h] * hand.T_hand_palm[:3, 2], axis=-1)
         position[:, h] -= config.palm * out
         sense = closing_joints(hand, config.least_closing)
-        joints.append(grasp.joints[h] - config.joints * sense)
+        open_ = grasp.joints[h] - config.joints * sense
+        joints.append(np.clip(open_, hand.joint_lower, hand.joint_upper))
     return Pose(position, grasp.quat_wxyz, (joints[0], joints[1]))
 
 

@@ -132,8 +132,8 @@ def wrench_terms(
         w = wrench_column(points_in[grasp, i], normals_in[grasp, i])
         gram = gram + wp.outer(w, w)
     s, v = eigen(gram)
-    top = int(0)
-    low = int(0)
+    top = wp.int32(0)
+    low = wp.int32(0)
     logs = wp.float64(0.0)
     for a in range(6):
         if s[a, a] > s[top, top]:
@@ -187,7 +187,7 @@ def spheres_at_surface(
 ):
     """List the spheres that surface points of the object can lie in; saves time, changes nothing."""
     grasp = wp.tid()
-    count = int(0)
+    count = wp.int32(0)
     for k in range(radius.shape[0]):
         d = wp.abs(signed_distance(field, size[grasp], spheres_in[grasp, k])[0])
         if d < radius[k] + FIELD_ERROR * size[grasp]:
@@ -213,7 +213,7 @@ def points_in_hand(
     """The sphere that each point is deepest in; -1 outside all."""
     grasp, i = wp.tid()
     x = points_in[grasp, i]
-    owner = int(-1)
+    owner = wp.int32(-1)
     if wp.length_sq(x - wp.min(wp.max(x, low_in[grasp]), high_in[grasp])) == 0.0:
         deepest = float(0.0)
         for j in range(count_in[grasp]):
