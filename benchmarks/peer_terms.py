@@ -78,7 +78,8 @@ def our_terms(
     data = stored(folder)
     shown = trimesh.load(folder / OBJECT, process=False, force="mesh")
     mesh = TriangleMesh(np.asarray(shown.vertices), np.asarray(shown.faces, np.int32))
-    hands = {side: peer_hand(folder, side, data["joint_names"]) for side in SIDES}
+    joints = data["joint_names"].tolist()
+    hands = {side: peer_hand(folder, side, joints) for side in SIDES}
     sets = [_spread(mesh, seed) for seed in seeds]
     reach = BimanGraspEnergyConfig().keypoint_reach
     found, contacts = [], []
@@ -88,8 +89,8 @@ def our_terms(
         G = energies.normal_wrenches(touching.points, touching.normals)
         pen = [
             sum(
-                energies.penetration_energy(_depths(hands[side], placed[side], scale * points))
-                for side in SIDES
+                float(energies.penetration_energy(_depths(hands[k], placed[k], scale * points)))
+                for k in SIDES
             )
             for points in sets
         ]
@@ -97,9 +98,9 @@ def our_terms(
             energies.Terms(
                 fc=energies.closure_energy(G),
                 dis=energies.distance_energy(touching.distance),
-                pen=np.mean(pen),
-                spen=sum(_near(hands[side], placed[side], reach) for side in SIDES),
-                joints=sum(_beyond(hands[side], data[f"{side}_pose"][g][9:]) for side in SIDES),
+                pen=np.array(np.mean(pen)),
+                spen=np.array(sum(_near(hands[k], placed[k], reach) for k in SIDES)),
+                joints=np.array(sum(_beyond(hands[k], data[f"{k}_pose"][g][9:]) for k in SIDES)),
                 vew=energies.wrench_volume_energy(G),
             )
         )
@@ -125,7 +126,7 @@ def peer_hand(folder: Path, side: str, joint_names: Sequence[str]) -> PeerHand:
     for geom in root.iter("geom"):
         geom.set("conaffinity", "1")
     model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
-    names = tuple(str(n) for n in joint_names)
+    names = tuple(joint_names)
     ends = np.array([model.joint(n).range for n in names])
     if side == "left":
         ends = -ends[:, ::-1]
