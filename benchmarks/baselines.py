@@ -24,9 +24,11 @@ from bidexdata import Library, Run
 from bidexdata.cli.options import parse_sizes
 from bidexdata.config import with_overrides
 from bidexdata.errors import BidexError
+from bidexdata.formats.figures import Tally
 from bidexdata.hands import load_hands
 from bidexdata.record import Scene
-from bidexdata.runs.info import describe_run
+from bidexdata.runs.finished import Finished
+from bidexdata.runs.pack import rows_of_object
 from bidexdata.runs.stage import TaskExecution
 from bidexdata.runs.synth import SynthRequest, start_run, synth_library
 from bidexdata.runs.validate import validate_run
@@ -79,14 +81,20 @@ def measure(asked: Asked) -> dict[str, Any]:
         "grasps": asked.grasps,
         "hand": asked.hand,
         "protocol": PROTOCOL,
-        "methods": {name: figures(Run.open(run.path)) for name, run in runs.items()},
+        "methods": {name: figures(Run.open(run.path), ids) for name, run in runs.items()},
     }
 
 
-def figures(run: Run) -> dict[str, Any]:
-    """Rates, depth and speed of one method's run, as far as it is."""
-    found = describe_run(run, protocol=PROTOCOL)["figures"]
-    rates, times = found["tests"]["f"], _times(run)
+def figures(run: Run, ids: Sequence[str]) -> dict[str, Any]:
+    """Rates, depth and speed of one method on some objects; the run may hold more."""
+    finished, tally = Finished.of(run), Tally()
+    for object_id in ids:
+        rows = rows_of_object(run, finished, object_id, "", [(PROTOCOL, "f")])
+        assert rows is not None
+        verdicts = {test: columns for (_, test), columns in rows.verdicts.items()}
+        tally.add(rows.batch, verdicts, grasps=run.spec.grasps)
+    found = tally.figures()
+    rates, times = found["tests"]["f"], [t for t in _times(run) if t["object_id"] in ids]
     attempts = sum(t["attempts"] for t in times)
     wall, cpu = (sum(t[key] for t in times) for key in ("seconds", "cpu_seconds"))
     success = rates["unselected"]["rate"]
