@@ -22,6 +22,7 @@ from bidexdata.cli.report import (
     refuse_nothing,
     warn_of_failed,
 )
+from bidexdata.synthesis.method_names import DEFAULT_METHOD
 from bidexdata.wording import counted
 
 
@@ -55,6 +56,13 @@ def synth(
         typer.Option(min=1, help="tabletop: rest poses of each object, most probable first (1)."),
     ] = None,
     preset: Annotated[str, typer.Option(help="`bidexdata presets` lists them.")] = "default",
+    method: Annotated[
+        str,
+        typer.Option(
+            help="bidexgrasp, or a peer's to compare with: bodex, bimangrasp (floating only). "
+            "`bidexdata presets METHOD` lists a peer's keys."
+        ),
+    ] = DEFAULT_METHOD,
     device: Annotated[str, typer.Option(help="cpu, or cuda:0 where there is one.")] = "cpu",
     explain: Annotated[
         str | None,
@@ -100,6 +108,7 @@ def synth(
                 "--setting": setting != "floating",
                 "--rest-poses": rest_poses is not None,
                 "--preset": preset != "default",
+                "--method": method != DEFAULT_METHOD,
                 "--shard": shard is not None,
                 "--seed": seed != 0,
                 "--config": config is not None,
@@ -114,12 +123,15 @@ def synth(
     from bidexdata.record.status import by_synth_stage
     from bidexdata.runs.run import Run
     from bidexdata.runs.synth import PAPER_SIZES_MM, SynthRequest, synth_library
+    from bidexdata.synthesis.methods import load_method
     from bidexdata.synthesis.presets import load_preset
 
+    base = load_preset(preset) if method == DEFAULT_METHOD else load_method(method).config()
     sizes_mm = PAPER_SIZES_MM if sizes is None else options.parse_sizes(sizes)
     execution = options.execution_of(executor, workers, shard, quiet)
     request = SynthRequest(
-        config=options.configured(load_preset(preset), config, assignments),
+        config=options.configured(base, config, assignments),
+        method=method,
         preset=preset,
         hand=hand,
         sizes_mm=sizes_mm,

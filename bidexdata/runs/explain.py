@@ -108,18 +108,25 @@ def explain_grasp(
     Raises:
         PathNotFound: There is no run or no library.
         BadValue: `wanted` is no such number.
-        NotUsable: No attempt, or several, are meant; its task is not done; the run is imported.
+        NotUsable: No attempt, or several, are meant; its task is not done; the run is imported, or
+            made by a peer's method.
         ConfigConflict: The run was made of another library, or its hands have changed.
         Contradiction: What the run stores is not what its settings give.
     """
     from bidexdata.objects.library import Library
     from bidexdata.synthesis.config import SynthConfig
     from bidexdata.synthesis.explain import explain_attempt
+    from bidexdata.synthesis.method_names import DEFAULT_METHOD
 
     check_device(device)
     run, source = Run.open(out), Library.open(library)
     if run.spec.kind != "synth":
         raise NotUsable(f"{out} holds grasps that were not synthesised here: nothing to explain")
+    if run.spec.method not in ("", DEFAULT_METHOD):
+        raise NotUsable(
+            f"{out} was made by the method {run.spec.method}; only grasps of {DEFAULT_METHOD} can be "
+            "explained"
+        )
     if source.fingerprint != run.spec.source_fingerprint:
         change = f"{run.spec.source_fingerprint!r} -> {source.fingerprint!r}"
         raise ConfigConflict(out, [f"library.fingerprint: {change}"])

@@ -40,10 +40,11 @@ from bidexdata.runs.spec import (
     write_spec,
 )
 from bidexdata.runs.stage import StageReport, TaskExecution, TaskSummary, run_stage
+from bidexdata.synthesis.method_names import DEFAULT_METHOD
 
 if TYPE_CHECKING:
     from bidexdata.objects.library import Library
-    from bidexdata.synthesis.config import SynthConfig
+    from bidexdata.synthesis.methods import MethodConfig
 
 PAPER_SIZES_MM = tuple(range(300, 801, 50))
 """The paper's eleven sizes, 0.30 to 0.80 m (section 6)."""
@@ -56,7 +57,9 @@ DEFAULT_REST_POSES = 1
 class SynthRequest:
     """What `bidexdata synth` was asked for."""
 
-    config: SynthConfig
+    config: MethodConfig
+    """Its class is that of the method."""
+    method: str = DEFAULT_METHOD
     preset: str = "default"
     hand: str = "shadow"
     sizes_mm: tuple[int, ...] = PAPER_SIZES_MM
@@ -70,7 +73,17 @@ class SynthRequest:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        from bidexdata.synthesis.methods import load_method
+
         setting_of(self.setting)
+        method = load_method(self.method)
+        if self.preset != "default" and self.method != DEFAULT_METHOD:
+            raise BadConfig(
+                f"--preset {self.preset} belongs to the method {DEFAULT_METHOD}; {self.method} has "
+                "none"
+            )
+        if self.setting == "tabletop" and not method.tabletop:
+            raise BadConfig(f"--method {self.method} knows no table; use --setting floating")
         if not self.sizes_mm or any(not 10 <= mm <= 5000 for mm in self.sizes_mm):
             raise BadValue("--sizes: give sizes in metres between 0.01 and 5, such as 0.3,0.5")
         twice = [mm for mm, n in Counter(self.sizes_mm).items() if n > 1]
@@ -154,6 +167,7 @@ def _wanted(library: Library, out: Path, request: SynthRequest, old: RunSpec | N
     else:
         candidates = grasps * per_grasp
     return RunSpec(
+        method=request.method,
         preset=request.preset,
         config=to_plain(request.config),
         hand=portable_hand(request.hand, out),
@@ -203,7 +217,7 @@ def _write_missing_rounds(library: Library, out: Path, spec: RunSpec, *, fresh: 
 
 
 def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) -> TaskSummary:
-    from bidexdata.synthesis.config import SynthConfig
+    from bidexdata.synthesis.methods import load_method
     from bidexdata.synthesis.pipeline import synthesize
 
     run = open_unchanged(run_path, run_fingerprint)
@@ -216,7 +230,7 @@ def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) ->
         obj,
         (left, right),
         [scene_of(s, obj) for s in task.scene_ids],
-        from_plain(SynthConfig, run.spec.config),
+        from_plain(load_method(run.spec.method or DEFAULT_METHOD).config, run.spec.config),
         round_seed(run.spec.seed, task.round),
         run_fingerprint=run.fingerprint,
         grasps=one.grasps,

@@ -85,6 +85,17 @@ def optimise(
     _settle(ws, config, "pregrasp", watch)
     pregrasp = read_pose(ws, hands)
     _settle(ws, config, "grasp", watch)
+    return found_at(ws, hands, pregrasp, config, watch)
+
+
+def found_at(
+    ws: Workspace,
+    hands: Sequence[Hand],
+    pregrasp: Pose,
+    config: OptimiseConfig,
+    watch: Watch | None = None,
+) -> Optimised:
+    """Collect what stands on the device as the grasp, with its contacts and energies."""
     energies = _evaluate(ws, config, watch)
     grasp = read_pose(ws, hands)
     contacts = ws.contacts

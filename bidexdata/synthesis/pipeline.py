@@ -13,7 +13,7 @@ import numpy as np
 
 from bidexdata.frames import quat_multiply, quat_rotate
 from bidexdata.record import GraspBatch, Scene, Status
-from bidexdata.synthesis.attempts import Attempts, draw_attempts, gather_starts
+from bidexdata.synthesis.attempts import Attempts
 from bidexdata.synthesis.config import SynthConfig
 from bidexdata.synthesis.forces import (
     ContactForces,
@@ -22,11 +22,11 @@ from bidexdata.synthesis.forces import (
     joint_torques,
     shifted_residual,
 )
-from bidexdata.synthesis.optimise import Optimised, Watch, optimise
+from bidexdata.synthesis.methods import MethodConfig, method_of
+from bidexdata.synthesis.optimise import Optimised, Watch
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.rows import scene_rows
 from bidexdata.synthesis.selection import SelectionConfig, audit, best, judge
-from bidexdata.synthesis.staging import squeeze
 
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
@@ -82,7 +82,7 @@ def synthesize(
     obj: PreparedObject,
     hands: tuple[Hand, Hand],
     scenes: Sequence[Scene],
-    config: SynthConfig | None = None,
+    config: MethodConfig | None = None,
     seed: int = 0,
     *,
     run_fingerprint: str = "",
@@ -97,7 +97,7 @@ def synthesize(
         obj: The object.
         hands: Left and right.
         scenes: Of this object; each is independent of the others.
-        config: All constants; the defaults when omitted.
+        config: All constants; its class says the method. Our defaults when omitted.
         seed: Of the run; each scene derives its own.
         run_fingerprint: Names the run in the grasps' ids.
         grasps: N, grasps kept per scene.
@@ -114,7 +114,8 @@ def synthesize(
         raise ValueError(f"every scene must be one of {obj.object_id}")
     count = candidates or config.selection.candidates_per_grasp * grasps
     grown = first_attempt > 0
-    attempts = [draw_attempts(obj, hands, s, config, seed, count, grown=grown) for s in scenes]
+    draw = method_of(config).draw
+    attempts = [draw(obj, hands, s, config, seed, count, grown=grown) for s in scenes]
     staged = grasp_attempts(obj, hands, attempts, config, device)
     made = []
     for one, rows in zip(attempts, _rows_per_scene(attempts), strict=True):
@@ -133,31 +134,29 @@ def grasp_attempts(
     obj: PreparedObject,
     hands: tuple[Hand, Hand],
     attempts: Sequence[Attempts],
-    config: SynthConfig,
+    config: MethodConfig,
     device: str = "cpu",
     *,
     watch: Watch | None = None,
 ) -> Staged:
-    """Optimise all starts, balance the contact forces, and aim the squeeze.
+    """Find the poses of all starts, balance the contact forces, and aim the squeeze.
 
     Args:
         obj: The object.
         hands: Left and right.
         attempts: Of each scene.
-        config: All constants.
+        config: All constants; its class says the method.
         device: Warp device.
-        watch: Looks on while the optimiser works.
+        watch: Looks on while the paper's method optimises; peers' methods have no use for it.
     """
-    start = gather_starts(attempts)
-    found = optimise(obj, hands, start, config.optimise, device=device, watch=watch)
-    forces = contact_forces(
-        found.workspace, config.optimise.closure, config.selection.residual_iterations
-    )
+    method = method_of(config)
+    found = method.search(obj, hands, attempts, config, device=device, watch=watch)
+    forces = contact_forces(found.workspace, config.closure, config.selection.residual_iterations)
     select, staging = config.selection, config.staging
     shifted = shifted_residual(
         found.workspace,
-        config.optimise.closure,
-        config.optimise.energy.normal_step,
+        config.closure,
+        config.normal_step,
         shift=select.shift,
         sets=select.shifted_sets,
         iterations=select.shifted_iterations,
@@ -172,7 +171,7 @@ def grasp_attempts(
         staging.force_per_weight,
     )
     torques = joint_torques(found.workspace, forces.forces * scale[:, :, None, None])
-    target = squeeze(found.pregrasp, found.grasp, torques, hands, staging)
+    target = method.aim(found, torques, hands, config)
     finite = found.pregrasp.finite() & found.grasp.finite() & target.finite()
     stages = (found.pregrasp, found.grasp, target)
     deep = Overlaps(*_depths(obj, hands, attempts, stages, finite))

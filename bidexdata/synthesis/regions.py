@@ -145,6 +145,20 @@ class RegionPairs(NamedTuple):
     """Best first: the force score [caps], or minus the QP residual of the torque score."""
 
 
+def no_pairs() -> RegionPairs:
+    """Give the region pairs of a method that has no regions."""
+    none, vectors = np.zeros((0, 2)), np.zeros((0, 2, 3))
+    return RegionPairs(
+        anchors=none.astype(int),
+        points=vectors[:, :, None],
+        normals=vectors[:, :, None],
+        centres=vectors,
+        mean_normals=vectors,
+        flatness=none,
+        score=none[:, 0],
+    )
+
+
 def select_region_pairs(
     obj: PreparedObject, scene: Scene, config: RegionConfig, rng: np.random.Generator
 ) -> RegionPairs:

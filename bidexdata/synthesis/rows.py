@@ -16,7 +16,7 @@ from bidexdata.synthesis.attempts import Attempts, grasp_ids
 
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
-    from bidexdata.synthesis.config import SynthConfig
+    from bidexdata.synthesis.methods import MethodConfig
     from bidexdata.synthesis.pipeline import Outcome, Staged
 
 
@@ -26,7 +26,7 @@ def scene_rows(
     staged: Staged,
     rows: np.ndarray,
     found: Outcome,
-    config: SynthConfig,
+    config: MethodConfig,
     *,
     first_attempt: int,
     run_fingerprint: str,
@@ -63,7 +63,7 @@ def scene_rows(
     at = np.flatnonzero(status[kept] == Status.OK)
     _pose(made, attempts.scene, staged, at, place[kept[at]])
     _figures(made, staged, at, place[kept[at]], header)
-    made["steps"][at] = config.optimise.steps
+    made["steps"][at] = config.steps
     return GraspBatch(header, made)
 
 

@@ -110,7 +110,7 @@ def test_the_same_grasp_gives_the_same_files(library: Path, made: Run, report: E
 def test_the_table_of_energies_has_a_line_per_step(report: ExplainReport):
     (path,) = (p for p in report.files if p.suffix == ".csv")
     lines = list(csv.DictReader(path.read_text().splitlines()))
-    assert len(lines) == 30 + 30 + 40 + 1
+    assert len(lines) == 30 + 30 + 70 + 1
     assert [int(line["step"]) for line in lines] == list(range(len(lines)))
     for line in lines:
         terms = [float(v) for k, v in line.items() if k.startswith("weighted_") and v]
