@@ -8,15 +8,16 @@ from pathlib import Path
 
 import typer
 
+from bidexdata.cli import options
 from bidexdata.cli.report import command, finish
 
 
 def refuse_settings(given: Mapping[str, bool]) -> None:
     """Refuse settings of a new run: those of the run that is explained decide."""
-    named = [option for option, is_given in given.items() if is_given]
+    named = options.given_names(given)
     if named:
         raise typer.BadParameter(
-            f"--explain repeats a grasp with its run's own settings: leave out {', '.join(named)}"
+            f"--explain repeats a grasp with its run's own settings: leave out {named}"
         )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from bidexdata.hands.kinematics import hand_points
 from bidexdata.record import GraspBatch, Scene, Status
 from bidexdata.synthesis.attempts import Attempts, draw_attempts
 from bidexdata.synthesis.distance_field import signed_distance
+from bidexdata.synthesis.methods import search_bilevel
 from bidexdata.synthesis.pipeline import Outcome, Staged, grasp_attempts, outcome
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.rows import scene_rows
@@ -137,7 +139,8 @@ def explain_attempt(
     placed = one.status == Status.OK
     row = int(np.count_nonzero(placed[:number])) if placed[number] else None
     recorder = None if row is None else Recorder(row, hands, config.optimise)
-    staged = grasp_attempts(obj, hands, [one], config, device, watch=recorder)
+    search = partial(search_bilevel, watch=recorder)
+    staged = grasp_attempts(obj, hands, [one], config, device, search=search)
     starts = np.arange(np.count_nonzero(placed))
     found = outcome(one, staged, starts, grasps, config.selection)
     trace = None if recorder is None else recorder.trace()

@@ -61,7 +61,6 @@ class Search(Protocol):
         config: Any,
         *,
         device: str = "cpu",
-        watch: Watch | None = None,
     ) -> Optimised: ...
 
 
@@ -88,7 +87,7 @@ class Method:
     aim: Aim
 
 
-def _bilevel(
+def search_bilevel(
     obj: PreparedObject,
     hands: tuple[Hand, Hand],
     attempts: Sequence[Attempts],
@@ -97,6 +96,7 @@ def _bilevel(
     device: str = "cpu",
     watch: Watch | None = None,
 ) -> Optimised:
+    """Search of the default method; a watch looks on."""
     start = gather_starts(attempts)
     return bilevel.optimise(obj, hands, start, config.optimise, device=device, watch=watch)
 
@@ -116,7 +116,7 @@ _METHODS = {
             config=SynthConfig,
             tabletop=True,
             draw=draw_attempts,
-            search=_bilevel,
+            search=search_bilevel,
             aim=_squeeze,
         ),
         Method(

@@ -22,8 +22,8 @@ from bidexdata.synthesis.forces import (
     joint_torques,
     shifted_residual,
 )
-from bidexdata.synthesis.methods import MethodConfig, method_of
-from bidexdata.synthesis.optimise import Optimised, Watch
+from bidexdata.synthesis.methods import MethodConfig, Search, method_of
+from bidexdata.synthesis.optimise import Optimised
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.rows import scene_rows
 from bidexdata.synthesis.selection import SelectionConfig, audit, best, judge
@@ -137,7 +137,7 @@ def grasp_attempts(
     config: MethodConfig,
     device: str = "cpu",
     *,
-    watch: Watch | None = None,
+    search: Search | None = None,
 ) -> Staged:
     """Find the poses of all starts, balance the contact forces, and aim the squeeze.
 
@@ -147,10 +147,10 @@ def grasp_attempts(
         attempts: Of each scene.
         config: All constants; its class says the method.
         device: Warp device.
-        watch: Looks on while the paper's method optimises; peers' methods have no use for it.
+        search: In place of the method's own.
     """
     method = method_of(config)
-    found = method.search(obj, hands, attempts, config, device=device, watch=watch)
+    found = (search or method.search)(obj, hands, attempts, config, device=device)
     forces = contact_forces(found.workspace, config.closure, config.selection.residual_iterations)
     select, staging = config.selection, config.staging
     shifted = shifted_residual(

@@ -24,7 +24,7 @@ from bidexdata.synthesis.baselines.candidates import (
     surface_points,
     with_contacts,
 )
-from bidexdata.synthesis.optimise import Optimised, Watch, found_at, read_pose, torque_lengths
+from bidexdata.synthesis.optimise import Optimised, found_at, read_pose, torque_lengths
 from bidexdata.synthesis.optimise_config import EnergyConfig, OptimiseConfig
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.staging import squeeze
@@ -46,7 +46,6 @@ def search(
     config: BimanGraspConfig,
     *,
     device: str = "cpu",
-    watch: Watch | None = None,
 ) -> Optimised:
     """Anneal all starts, and put the record's contacts, the fingertips, where they ended.
 
@@ -56,9 +55,7 @@ def search(
         attempts: Of one or several scenes; the attempts of a scene share their step lengths.
         config: Of the method.
         device: Warp device.
-        watch: Not used: it looks at steps of the paper's method.
     """
-    del watch
     start = gather_starts(attempts)
     state = prepared(obj, hands, attempts, config, device)
     anneal(state, config)

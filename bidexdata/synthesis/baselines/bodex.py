@@ -16,7 +16,7 @@ from jaxtyping import Int
 
 from bidexdata.synthesis import chain
 from bidexdata.synthesis.attempts import Attempts, gather_starts
-from bidexdata.synthesis.optimise import Optimised, Watch, found_at, read_pose, torque_lengths
+from bidexdata.synthesis.optimise import Optimised, found_at, read_pose, torque_lengths
 from bidexdata.synthesis.optimise_config import OptimiseConfig
 from bidexdata.synthesis.staging import squeeze
 from bidexdata.synthesis.workspace import HandWork, Workspace, allocate
@@ -37,7 +37,6 @@ def search(
     config: BodexConfig,
     *,
     device: str = "cpu",
-    watch: Watch | None = None,
 ) -> Optimised:
     """Optimise all starts through the three stages.
 
@@ -47,9 +46,7 @@ def search(
         attempts: Of one or several scenes.
         config: Of the method.
         device: Warp device.
-        watch: Not used: it looks at steps of the paper's method.
     """
-    del watch
     import warp as wp
 
     start = gather_starts(attempts)
