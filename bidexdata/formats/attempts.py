@@ -10,6 +10,7 @@ import numpy as np
 
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.moments import NOTHING, Moments, moments_of
+from bidexdata.record.scene import scene_parts
 from bidexdata.record.status import by_synth_stage
 
 ENERGIES = (
@@ -40,8 +41,9 @@ class AttemptTally:
             selected: Which of them count, (N,).
         """
         for scene_id, counts in batch.header.counts.items():
-            size = int(scene_id.rsplit("/", 2)[1])
-            self._status[size].update({k: int(v) for k, v in counts.items()})
+            self._status[scene_parts(scene_id).size_mm].update(
+                {k: int(v) for k, v in counts.items()}
+            )
         good = selected & (batch["synth_status"] == Status.OK)
         for size in np.unique(batch["size_mm"][good]).tolist():
             rows, known = good & (batch["size_mm"] == size), self._moments[size]

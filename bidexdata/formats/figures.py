@@ -22,6 +22,7 @@ from bidexdata.formats.groups import BOUNDED, GroupTally, hands_label
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.fields import HEADLINE
 from bidexdata.record.rates import Rate, clustered_interval
+from bidexdata.record.scene import scene_parts
 from bidexdata.wording import counted
 
 
@@ -148,10 +149,10 @@ class Tally:
     def _note_scenes(self, batch: GraspBatch, run: str) -> tuple[dict[str, int], set[str]]:
         """Sizes of the scenes of a batch, and which of them this run had not touched before."""
         names = {*batch.header.counts, *np.unique(batch["scene_id"]).tolist()}
-        touched = {scene: _size_of(scene) for scene in sorted(names)}
+        touched = {scene: scene_parts(scene).size_mm for scene in sorted(names)}
         new = {scene for scene in touched if (run, scene) not in self._scenes}
         for scene in new:
-            self._scenes[(run, scene)] = (_object_of(scene), touched[scene])
+            self._scenes[(run, scene)] = (scene_parts(scene).object_id, touched[scene])
         return touched, new
 
     def _add_trials(
@@ -168,12 +169,14 @@ class Tally:
         passed = _passed(batch, verdict)
         in_size = batch["size_mm"] == size
         scenes = [scene for scene, mm in touched.items() if mm == size]
-        for obj in {_object_of(scene) for scene in scenes}:
+        for obj in {scene_parts(scene).object_id for scene in scenes}:
             mine = in_size & (batch["object_id"] == obj)
             kept, drawn = mine & selected, mine & audit
             self._count("selected", test, size, obj, _number(passed & kept), _number(kept))
             if grasps is not None:
-                wanted = grasps * sum(1 for s in scenes if s in new and _object_of(s) == obj)
+                wanted = grasps * sum(
+                    1 for s in scenes if s in new and scene_parts(s).object_id == obj
+                )
                 wins = _number(passed & drawn)
                 self._count("unselected", test, size, obj, wins, _number(drawn), wanted)
 
@@ -238,14 +241,6 @@ def _means(metrics: Mapping[str, Any]) -> dict[str, float | None]:
 
 def _number(mask: np.ndarray) -> int:
     return int(np.count_nonzero(mask))
-
-
-def _object_of(scene_id: str) -> str:
-    return scene_id.rsplit("/", 2)[0]
-
-
-def _size_of(scene_id: str) -> int:
-    return int(scene_id.rsplit("/", 2)[1])
 
 
 def _labels(statuses: np.ndarray) -> Counter[str]:

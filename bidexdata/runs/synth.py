@@ -16,7 +16,7 @@ from bidexdata.devices import check_device
 from bidexdata.errors import BadConfig, BadValue, NotUsable
 from bidexdata.kinds import kind_of
 from bidexdata.record import GraspBatch, Status
-from bidexdata.record.scene import Setting, setting_of
+from bidexdata.record.scene import Setting, scene_parts, setting_of
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.plan import (
@@ -245,7 +245,7 @@ def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) ->
     by_size: dict[int, Counter[str]] = defaultdict(Counter)
     for scene_id, found in batch.header.counts.items():
         counts.update(found)
-        by_size[scene_of(scene_id, obj).size_mm].update(found)
+        by_size[scene_parts(scene_id).size_mm].update(found)
     seconds = time.monotonic() - start
     logging.getLogger(__name__).info(
         "task %s: %d rows in %.1f s", task.task_id, len(batch), seconds
