@@ -2,7 +2,8 @@
 
 Area under the ROC curve over the audit rows with a grasp that a run's verdicts are of: the chance
 that a grasp that fails has the larger figure than one that passes. 0.5 says nothing, 1 is perfect.
-The table goes into docs/measurements.md.
+Beside it, how many pre-grasps overlap the object on the hands' own geometry, and how many of those
+and of the others pass. The tables go into docs/measurements.md.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from bidexdata import Run
 from bidexdata.record import GraspBatch, Status
+from bidexdata.simulation.distances import pregrasp_penetration
 
 CRITERIA = {
     "qp_residual": "coupled residual",
@@ -57,6 +59,33 @@ def measure(path: str, protocol: str, test: str) -> dict[str, Any]:
     return found
 
 
+def measure_overlaps(path: str, protocol: str, test: str) -> dict[str, float]:
+    """Share of audit rows whose pre-grasp overlaps the object, and the success of both kinds."""
+    run = Run.open(path)
+    hands, depth, passed = run.hands(), [], []
+    for task in run.tasks:
+        rows = run.task_batch(task, protocol, test)
+        rows = rows.select(rows.audit & (rows["synth_status"] == Status.OK))
+        solid = run.load_solid(task.object_id)
+        for scene_id in np.unique(rows.scene_id):
+            one = rows.select(rows.scene_id == scene_id)
+            start = (
+                one[c][:, :, 0].astype(float) for c in ("hand_pos", "hand_quat_wxyz", "joints")
+            )
+            where = (one.object_pos[0].astype(float), one.object_quat_wxyz[0].astype(float))
+            found = pregrasp_penetration(hands, solid, float(one["size"][0]), *where, *start)
+            depth.append(found[0])
+            passed.append(one["success"])
+    deep, success = np.concatenate(depth), np.concatenate(passed)
+    overlaps = deep > 0
+    return {
+        "share": float(overlaps.mean()),
+        "largest_m": float(deep.max()),
+        "success_overlapping": float(success[overlaps].mean()) if overlaps.any() else np.nan,
+        "success_clear": float(success[~overlaps].mean()),
+    }
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the figures as JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -64,7 +93,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--protocol", default="paper-1")
     parser.add_argument("--test", default="f")
     asked = parser.parse_args(arguments)
-    print(json.dumps(measure(asked.run, asked.protocol, asked.test), indent=2))
+    of = (asked.run, asked.protocol, asked.test)
+    print(json.dumps({**measure(*of), "overlaps": measure_overlaps(*of)}, indent=2))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,12 @@
 """The validator's verdicts against plain simulation: `python -m benchmarks.truth RUN`.
 
-Plain: every load to its end and all of a step by the engine, as `Execution(plain=True)` runs it. Of the rows with a grasp all audit rows are taken, and if too few of them fail, then the
-selected rows that fail under plain simulation, by grasp_id, until there are enough. Plain runs cost
-2 to 3 s of a core each, and few selected rows fail: a run of 1200 rows takes half an hour.
+Plain: every load to its end and all of a step by the engine, as `Execution(plain=True)` runs it. Of
+the rows with a grasp all audit rows are taken, and if too few of them fail, then the selected rows
+that fail under plain simulation, by grasp_id, until there are enough. Plain runs cost 2 to 3 s of a
+core each, and few selected rows fail: a run of 1200 rows takes half an hour.
+
+How much of a difference is the engine's own: grasps that fail under plain simulation run plainly
+once more with the object 0.1 um aside, and those whose verdicts differ eight times.
 """
 
 from __future__ import annotations
@@ -26,12 +30,25 @@ FAILING = 120
 """Of which fail under plain simulation, if the run has so many."""
 
 
+ASIDE = 1e-7
+"""How far aside the object starts when a plain run is repeated [m]."""
+REPEATS = 8
+"""Plain runs more of a grasp whose verdicts differ."""
+
+
 class Pair(NamedTuple):
     """Verdicts on one grasp."""
 
     grasp_id: str
     quick: bool
     plain: bool
+    again: tuple[bool, ...]
+    """Plain verdicts with the object a little aside: none where both verdicts are passes."""
+
+    @property
+    def false_pass(self) -> bool:
+        """Whether the quick verdict alone is a pass."""
+        return self.quick and not self.plain
 
 
 def measure(path: str, test: str, protocol: str, workers: int = 2) -> dict[str, Any]:
@@ -54,8 +71,13 @@ def measure(path: str, test: str, protocol: str, workers: int = 2) -> dict[str, 
         "n": len(pairs),
         "failing": failing,
         "different": sum(p.quick != p.plain for p in pairs),
-        "false_passes": sum(p.quick and not p.plain for p in pairs),
-        "different_ids": [p.grasp_id for p in pairs if p.quick != p.plain],
+        "false_passes": sum(p.false_pass for p in pairs),
+        "false_passes_of_plain_itself": sum(not p.plain and p.again[0] for p in pairs),
+        "plain_again_as_quick": {
+            p.grasp_id: sum(again == p.quick for again in p.again)
+            for p in pairs
+            if p.quick != p.plain
+        },
     }
 
 
@@ -71,14 +93,23 @@ def _compare(path: str, number: int, test: str, protocol: str, which: str) -> li
     batch = batch.select(batch.audit if which == "audit" else batch.selected & ~batch.audit)
     rules = load_protocol(protocol)
 
-    def success(rows: GraspBatch, *, quick: bool) -> np.ndarray:
+    def success(rows: GraspBatch, *, quick: bool) -> list[bool]:
         how = Execution(plain=not quick)
-        return validate_grasps(rows, solid, hands, rules, test, execution=how)["success"]
+        return validate_grasps(rows, solid, hands, rules, test, execution=how)["success"].tolist()
 
     quick, plain = success(batch, quick=True), success(batch, quick=False)
-    return [
-        Pair(str(i), bool(q), bool(p)) for i, q, p in zip(batch.grasp_id, quick, plain, strict=True)
-    ]
+    pairs = []
+    for k, (q, p) in enumerate(zip(quick, plain, strict=True)):
+        one = batch.select(np.arange(len(batch)) == k)
+        shifts = range(1, 1 + (REPEATS if q != p else 0 if p else 1))
+        again = tuple(success(_aside(one, n * ASIDE), quick=False)[0] for n in shifts)
+        pairs.append(Pair(str(batch.grasp_id[k]), q, p, again))
+    return pairs
+
+
+def _aside(batch: GraspBatch, x: float) -> GraspBatch:
+    """The same grasps with the object `x` aside [m]."""
+    return batch.with_columns(object_pos=batch.object_pos + np.array([x, 0, 0], np.float32))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

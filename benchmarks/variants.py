@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from benchmarks.rows import over_tasks, pool, task_rows
 from bidexdata import Run
 from bidexdata.config import with_overrides
-from bidexdata.validation import Protocol, load_protocol, validate_grasps
+from bidexdata.validation import Execution, Protocol, load_protocol, validate_grasps
 
 SHARED: dict[str, tuple[str, ...]] = {
     "paper-1": (),
@@ -37,6 +37,7 @@ SHARED: dict[str, tuple[str, ...]] = {
 }
 ONLY: Mapping[str, dict[str, tuple[str, ...]]] = {
     "f": {
+        "paper-1, every load to its end": (),
         "hold of 1 s": ("hold=1.0",),
         "hold of 6 s": ("hold=6.0",),
         "load as a force on the object alone": ("load=force",),
@@ -48,6 +49,10 @@ ONLY: Mapping[str, dict[str, tuple[str, ...]]] = {
         "judged once, right after the lift": ("lift.hold=0.0",),
     },
 }
+
+
+TO_THE_END = {"paper-1, every load to its end", "hold of 1 s", "hold of 6 s"}
+"""Variants whose loads do not end early, since they are about how long a load lasts."""
 
 
 def variants(test: str) -> dict[str, Protocol]:
@@ -63,17 +68,22 @@ def measure(
     """Give every variant with its successes on `rows` audit rows a task, `paper-1` first."""
     with pool(workers) as executor:
         for what, rules in variants(test).items():
-            parts = over_tasks(executor, run, _judge, test, rows, rules)
+            plain = what in TO_THE_END
+            parts = over_tasks(executor, run, _judge, test, rows, rules, plain)
             yield what, np.array([v for part in parts for v in part])
 
 
-def _judge(path: str, number: int, test: str, rows: int, rules: Protocol) -> list[bool]:
+def _judge(
+    path: str, number: int, test: str, rows: int, rules: Protocol, plain: bool
+) -> list[bool]:
     batch, solid, hands = task_rows(path, number)
     batch = batch.select(batch.audit)
     keep = np.linspace(0, len(batch) - 1, min(rows, len(batch))).round().astype(int)
     chosen = np.zeros(len(batch), bool)
     chosen[keep] = True
-    return validate_grasps(batch.select(chosen), solid, hands, rules, test)["success"].tolist()
+    how = Execution(plain=plain)
+    found = validate_grasps(batch.select(chosen), solid, hands, rules, test, execution=how)
+    return found["success"].tolist()
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -7,15 +7,30 @@ themselves, a run made with another configuration.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
+
+
+def _restored(
+    kind: type[BidexError], args: tuple[Any, ...], state: Mapping[str, Any]
+) -> BidexError:
+    error = kind.__new__(kind)
+    error.args = args
+    vars(error).update(state)
+    return error
 
 
 class BidexError(Exception):
     """Base of all errors of this package: one sentence that says what, where and what to do."""
 
     exit_code = 3
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Errors come back from worker processes; by default they would be made again from the
+        # sentence alone, which their classes do not take.
+        return _restored, (type(self), self.args, vars(self))
 
 
 class NotUsable(BidexError):

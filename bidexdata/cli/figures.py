@@ -16,6 +16,24 @@ LEGEND = (
     "small is diverse"
 )
 
+_STAGE_HEADS = {
+    "regions": "no region pair",
+    "placement": "no start",
+    "optimisation": "not finite",
+    "checks": "fails a check",
+    "ok": "ok",
+}
+_ENERGY_HEADS = {
+    "energy_qp": "closure",
+    "energy_distance": "distance m2",
+    "energy_region": "region m",
+    "energy_pad": "pad",
+    "energy_penetration": "penetration m2",
+    "energy_self": "self m2",
+    "qp_residual": "residual",
+    "qp_residual_shifted": "of moved contacts",
+}
+
 
 def figure_lines(
     figures: Mapping[str, Any], protocol: str = "", untested: str = "not validated yet"
@@ -57,6 +75,42 @@ def figure_lines(
     legend = LEGEND if tested else KEPT_MEANS
     known = figures["kept"] is not None
     return [*lines, *_by_size(figures, list(tested)), *([legend] if known else [])]
+
+
+def attempt_lines(by_size: Mapping[str, Any]) -> list[str]:
+    """Where attempts ended, a line per size; none where nothing is known of attempts.
+
+    Args:
+        by_size: Per `size_mm` as text, with `by_stage` in each.
+    """
+    from bidexdata.formats.figures import size_text
+
+    known = {size: found["by_stage"] for size, found in by_size.items() if found.get("by_stage")}
+    if not any(sum(stages.values()) for stages in known.values()):
+        return []
+    rows = [["size", "attempts", *_STAGE_HEADS.values()]]
+    for size, stages in known.items():
+        ended = [str(stages[name]) for name in _STAGE_HEADS]
+        rows.append([size_text(size), str(sum(stages.values())), *ended])
+    return ["where attempts ended:", *table(rows)]
+
+
+def energy_lines(by_size: Mapping[str, Any]) -> list[str]:
+    """Mean energies of the selected grasps, a line per size; none where rows have none.
+
+    Args:
+        by_size: Per `size_mm` as text, with `energies` in each.
+    """
+    from bidexdata.formats.figures import size_text
+
+    known = {size: found.get("energies", {}) for size, found in by_size.items()}
+    if not any(value is not None for means in known.values() for value in means.values()):
+        return []
+    rows = [["size", *_ENERGY_HEADS.values()]]
+    for size, means in known.items():
+        numbers = [means.get(name) for name in _ENERGY_HEADS]
+        rows.append([size_text(size), *("-" if x is None else f"{x:.2e}" for x in numbers)])
+    return ["energies of selected grasps, unweighted means:", *table(rows)]
 
 
 def _lengths(figures: Mapping[str, Any]) -> str:

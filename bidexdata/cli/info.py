@@ -8,9 +8,10 @@ from typing import Annotated, Any
 import typer
 
 from bidexdata.cli import options
-from bidexdata.cli.figures import figure_lines
+from bidexdata.cli.figures import attempt_lines, energy_lines, figure_lines
 from bidexdata.cli.groups import group_lines
 from bidexdata.cli.report import counts_text, finish, no_grasp_text, no_scene_text, validate_again
+from bidexdata.synthesis.method_names import DEFAULT_METHOD
 from bidexdata.wording import counted
 
 
@@ -42,7 +43,7 @@ def info(
 
     --json keys: kind, path and, for a library: fingerprint, inputs, objects, hulls, by_status,
     failures (source_name, status, reason), warnings (source_name, warning); a run: fingerprint,
-    hand, preset, setting, rest_poses, without_scene (objects that no scene could be made of),
+    hand, method, preset, setting, rest_poses, without_scene (objects that no scene could be made of),
     without_grasp (scenes that no grasp was kept of), sizes_mm, grasps, candidates, seed, objects,
     tasks, done (per stage), made_with (per stage: a list of tasks, device, device_name and package
     versions), figures, protocols; a release: name, version, schema_version, default_protocol,
@@ -56,6 +57,13 @@ def info(
     if by is not None:
         lines = [lines[0], *group_lines(data)]
     finish(data, lines, as_json=as_json, quiet=quiet)
+
+
+def _start(data: dict[str, Any]) -> str:
+    """What the configuration of a run started from."""
+    if data["method"] in ("", DEFAULT_METHOD):
+        return f"preset {data['preset'] or '-'}"
+    return f"method {data['method']}"
 
 
 def _library_lines(data: dict[str, Any]) -> list[str]:
@@ -79,7 +87,7 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
     poses = f" in {counted(data['rest_poses'], 'rest pose')}" if data["rest_poses"] else ""
     sizes = ", ".join(f"{mm / 1000:g}" for mm in data["sizes_mm"])
     lines = [
-        f"{data['path']}: run of hand {data['hand']}, preset {data['preset'] or '-'}, "
+        f"{data['path']}: run of hand {data['hand']}, {_start(data)}, "
         f"{data['setting']}{poses}, sizes {sizes or '-'} m, {asked}, seed {data['seed']}",
         f"fingerprint {data['fingerprint']}",
     ]
@@ -96,8 +104,10 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
     for stage, done in data["done"].items():
         lines.append(f"{stage}: {done} of {counted(data['tasks'], 'task')} done")
         lines += [_made_with_line(kind) for kind in data["made_with"][stage]]
+    sizes = data["figures"]["by_size"]
+    diagnosis = [*attempt_lines(sizes), *energy_lines(sizes)]
     if not data["protocols"]:
-        return lines + figure_lines(data["figures"])
+        return lines + figure_lines(data["figures"]) + diagnosis
     for protocol, figures in data["protocols"].items():
         again = validate_again(data["path"], protocol)
         tested = f"{figures['tested_rows']} of {counted(figures['n'], 'row')}"
@@ -108,7 +118,7 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
                 f"{counted(figures['untested_objects'], 'object')} (tested: {tested}), "
                 "which the rates leave out"
             )
-    return lines
+    return lines + diagnosis
 
 
 def _made_with_line(kind: dict[str, Any]) -> str:

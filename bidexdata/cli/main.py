@@ -107,7 +107,7 @@ def run(arguments: Sequence[str]) -> int:
         # Typer turns Ctrl-C into this code, or into Abort, depending on its version.
         return _interrupted() if code == INTERRUPTED else code
     except _UsageError as err:
-        return _usage(err)
+        return _usage(err, arguments)
     except BidexError as err:
         return _complain(str(err), err.exit_code, arguments)
     except (KeyboardInterrupt, typer.Abort):
@@ -134,9 +134,9 @@ def _refuse_twice(arguments: Sequence[str]) -> None:
             raise typer.BadParameter(f"{option} is given twice")
 
 
-def _usage(err: Exception) -> int:
+def _usage(err: Exception, arguments: Sequence[str]) -> int:
     context = getattr(err, "ctx", None)
-    where = context.command_path if context is not None else "bidexdata"
+    where = context.command_path if context is not None else f"bidexdata {arguments[0]}"
     message = getattr(err, "format_message", lambda: str(err))()
     if message and not message.startswith("Usage:"):
         print(f"error: {message.rstrip('.')}; see {where} --help", file=sys.stderr)

@@ -8,6 +8,7 @@ import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.report import command, finish, table
+from bidexdata.synthesis.method_names import METHODS
 
 if TYPE_CHECKING:
     from bidexdata.cli.config_keys import ConfigGroup
@@ -66,7 +67,8 @@ def presets(
         str | None,
         typer.Argument(
             metavar="[NAME]",
-            help="A preset, or `prepare`: list every key that --set and --config take.",
+            help="A preset, a peer's method (bodex, bimangrasp), or `prepare`: list every key that "
+            "--set and --config take.",
         ),
     ] = None,
     as_json: options.Json = False,
@@ -76,7 +78,8 @@ def presets(
     """List the presets of synth and what each changes, or every key of one.
 
     With NAME: key, value, unit and meaning, and in brackets where the value is from. The name
-    `prepare` stands for the configuration of `bidexdata prepare`, which has no presets.
+    `prepare` stands for the configuration of `bidexdata prepare`, which has no presets; nor have
+    the peers' methods of `synth --method`, which stand for themselves.
 
     --json keys: presets (a list of name, description, changes: key, value, reason); with NAME:
     name, description, groups (a list of name, meaning, keys: key, value, unit, meaning, source).
@@ -84,7 +87,7 @@ def presets(
     if name is None:
         _list_presets(as_json=as_json, quiet=quiet)
     else:
-        description, groups = _prepare_keys() if name == PREPARE else _preset_keys(name)
+        description, groups = _keys_of(name)
         _list_keys(name, description, groups, as_json=as_json, quiet=quiet)
 
 
@@ -106,6 +109,7 @@ def _list_presets(*, as_json: bool, quiet: bool) -> None:
         rows = [[f"  {c.key}", str(c.value), c.reason] for c in preset.changes]
         lines += table(rows) if rows else []
     lines.append(f"every key of a preset: {command('presets', 'NAME')}")
+    lines.append(f"every key of a peer's method: {command('presets', METHODS[-1])}")
     lines.append(f"every key of prepare: {command('presets', PREPARE)}")
     finish({"presets": found}, lines, as_json=as_json, quiet=quiet)
 
@@ -136,6 +140,20 @@ def _protocol_keys(name: str) -> tuple[str, list[ConfigGroup]]:
 
     protocol = load_protocol(name)
     return protocol.description, list(config_groups(protocol, meaning="the test"))
+
+
+def _keys_of(name: str) -> tuple[str, list[ConfigGroup]]:
+    if name == PREPARE:
+        return _prepare_keys()
+    return _method_keys(name) if name in METHODS else _preset_keys(name)
+
+
+def _method_keys(name: str) -> tuple[str, list[ConfigGroup]]:
+    from bidexdata.cli.config_keys import config_groups
+    from bidexdata.synthesis.methods import load_method
+
+    method = load_method(name)
+    return method.sentence, list(config_groups(method.config()))
 
 
 def _prepare_keys() -> tuple[str, list[ConfigGroup]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
@@ -88,6 +89,11 @@ def parse_sizes(text: str) -> tuple[int, ...]:
             ) from err
         sizes.append(round(mm))
     return tuple(sizes)
+
+
+def given_names(given: Mapping[str, bool]) -> str:
+    """List the options that were given, for a sentence; empty when none was."""
+    return ", ".join(option for option, is_given in given.items() if is_given)
 
 
 def parse_words(text: str) -> tuple[str, ...]:

@@ -126,14 +126,16 @@ def no_scene_text(object_ids: Sequence[str]) -> str:
 
 def no_grasp_text(scene_ids: Sequence[str]) -> str:
     """Say that scenes gave no grasp to keep, and name the first: object, size and, on a table, pose."""
-    named = [_scene_words(*scene_id.rsplit("/", 2)) for scene_id in scene_ids]
+    named = [_scene_words(scene_id) for scene_id in scene_ids]
     return f"no grasp kept of {counted(len(named), 'scene')}: {listed(named)}"
 
 
-def _scene_words(object_id: str, size_mm: str, place: str) -> str:
+def _scene_words(scene_id: str) -> str:
     from bidexdata.formats.figures import size_text
+    from bidexdata.record.scene import scene_parts
 
-    return " ".join([object_id, size_text(size_mm), *([] if place == "float" else [place])])
+    object_id, size_mm, pose = scene_parts(scene_id)
+    return " ".join([object_id, size_text(size_mm), *([] if pose < 0 else [f"table{pose}"])])
 
 
 def percent(rate: Mapping[str, Any] | None) -> str:

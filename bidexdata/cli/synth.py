@@ -9,6 +9,9 @@ from typing import Annotated, Any
 import typer
 
 from bidexdata.cli import options
+from bidexdata.cli.explain import explain as _explain
+from bidexdata.cli.explain import refuse_settings
+from bidexdata.cli.figures import attempt_lines
 from bidexdata.cli.report import (
     command,
     counts_text,
@@ -19,6 +22,7 @@ from bidexdata.cli.report import (
     refuse_nothing,
     warn_of_failed,
 )
+from bidexdata.synthesis.method_names import DEFAULT_METHOD
 from bidexdata.wording import counted
 
 
@@ -52,7 +56,22 @@ def synth(
         typer.Option(min=1, help="tabletop: rest poses of each object, most probable first (1)."),
     ] = None,
     preset: Annotated[str, typer.Option(help="`bidexdata presets` lists them.")] = "default",
+    method: Annotated[
+        str,
+        typer.Option(
+            help="bidexgrasp, or a peer's to compare with: bodex, bimangrasp (floating only). "
+            "`bidexdata presets METHOD` lists a peer's keys."
+        ),
+    ] = DEFAULT_METHOD,
     device: Annotated[str, typer.Option(help="cpu, or cuda:0 where there is one.")] = "cpu",
+    explain: Annotated[
+        str | None,
+        typer.Option(
+            metavar="GRASP_ID",
+            help="Make one grasp of RUN again and write pictures of its stages to "
+            "RUN/explain/GRASP_ID; the run's own settings decide. The first digits of an id do.",
+        ),
+    ] = None,
     workers: options.Workers = 0,
     executor: options.ExecutorName = "processes",
     shard: options.Shard = None,
@@ -68,21 +87,51 @@ def synth(
     The same command goes on after a stop. On a table an object without a rest pose gives no scene.
 
     --json keys: run, fingerprint, tasks, tasks_before, tasks_failed, without_scene (objects),
-    without_grasp (scenes that no grasp was kept of), n, selected, by_status, seconds. tasks_failed,
-    without_grasp, n, selected, by_status and seconds are of this call only; `info` gives the whole
-    run. seconds is the time that the whole command took, with the loading of packages and hands and
+    without_grasp (scenes that no grasp was kept of), n, selected, by_status, by_stage
+    (attempts by where they ended: regions, placement, optimisation, checks, ok), by_size (per
+    size_mm: by_status, by_stage), seconds. tasks_failed and what follows without_scene are of this
+    call only; `info` gives the whole run. seconds is the time that the whole command took, with the loading of packages and hands and
     the start of the workers.
+
+    With --explain: grasp_id, scene_id, attempt, status, reasons (every check it fails), stored,
+    repeats, differing (columns), selected, audit, rank (in the order of selection), may_be_kept
+    (attempts in that order), stages (stage, text, passed), files, seconds. docs/explain.md says what
+    the pictures and numbers mean.
     """
+    if explain is not None:
+        refuse_settings(
+            {
+                "--hand": hand != "shadow",
+                "--sizes": sizes is not None,
+                "--grasps": grasps is not None,
+                "--candidates": candidates is not None,
+                "--setting": setting != "floating",
+                "--rest-poses": rest_poses is not None,
+                "--preset": preset != "default",
+                "--method": method != DEFAULT_METHOD,
+                "--shard": shard is not None,
+                "--seed": seed != 0,
+                "--config": config is not None,
+                "--set": bool(assignments),
+            }
+        )
+        _explain(library, out, explain, device, as_json=as_json, quiet=quiet)
+        return
     started = time.perf_counter()
+    from bidexdata.formats.attempts import sized_attempts
     from bidexdata.record.scene import setting_of
+    from bidexdata.record.status import by_synth_stage
     from bidexdata.runs.run import Run
     from bidexdata.runs.synth import PAPER_SIZES_MM, SynthRequest, synth_library
+    from bidexdata.synthesis.methods import load_method
     from bidexdata.synthesis.presets import load_preset
 
+    base = load_preset(preset) if method == DEFAULT_METHOD else load_method(method).config()
     sizes_mm = PAPER_SIZES_MM if sizes is None else options.parse_sizes(sizes)
     execution = options.execution_of(executor, workers, shard, quiet)
     request = SynthRequest(
-        config=options.configured(load_preset(preset), config, assignments),
+        config=options.configured(base, config, assignments),
+        method=method,
         preset=preset,
         hand=hand,
         sizes_mm=sizes_mm,
@@ -95,6 +144,7 @@ def synth(
     report = synth_library(library, out, request, execution=execution, device=device)
     run = Run.open(out)
     seconds = time.perf_counter() - started
+    sized = sized_attempts(report.by_size)
     data: dict[str, Any] = {
         "run": str(out),
         "fingerprint": run.fingerprint,
@@ -106,6 +156,8 @@ def synth(
         "n": report.rows,
         "selected": report.good,
         "by_status": report.by_status,
+        "by_stage": by_synth_stage(report.by_status),
+        "by_size": sized,
         "seconds": round(seconds, 3),
     }
     warn_of_failed(report, out)
@@ -119,6 +171,7 @@ def synth(
             f"by {counted(report.finished, 'task')} in {seconds:.1f} s "
             f"({done} of {counted(report.tasks, 'task')} done){earlier_text(report.before)}",
             f"attempts: {counts_text(report.by_status)}",
+            *attempt_lines(sized),
         ]
     finish(
         data,

@@ -138,11 +138,11 @@ def _require_watchable(given: Mapping[str, bool]) -> None:
     """Refuse options that mean nothing for one grasp that is looked at."""
     from bidexdata.errors import NotUsable
 
-    named = [option for option, is_given in given.items() if is_given]
+    named = options.given_names(given)
     if named:
         raise NotUsable(
             "--replay looks on while MuJoCo's C engine tests one grasp and stores nothing: leave "
-            f"out {', '.join(named)}"
+            f"out {named}"
         )
 
 

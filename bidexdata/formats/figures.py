@@ -16,11 +16,13 @@ from typing import Any
 
 import numpy as np
 
+from bidexdata.formats.attempts import AttemptTally
 from bidexdata.formats.diversity import DiversityTally
 from bidexdata.formats.groups import BOUNDED, GroupTally, hands_label
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.fields import HEADLINE
 from bidexdata.record.rates import Rate, clustered_interval
+from bidexdata.record.scene import scene_parts
 from bidexdata.wording import counted
 
 
@@ -35,7 +37,7 @@ class Tally:
         self._scenes: dict[tuple[str, str], tuple[str, int]] = {}
         self._kept_of: set[str] = set()  # scenes with a selected row
         self._rows: Counter[str] = Counter()
-        self._attempts: Counter[str] = Counter()
+        self._attempts = AttemptTally()
         self._verdicts: dict[str, Counter[str]] = {t: Counter() for t in tests}
         # (kind, test, size) -> object -> [successes, rows, rows wanted]
         self._trials: dict[tuple[str, str, int], dict[str, list[int]]] = defaultdict(dict)
@@ -77,8 +79,7 @@ class Tally:
         self._rows["stored"] += len(batch)
         self._rows["selected"] += _number(selected)
         self._rows["audit"] += _number(audit)
-        for counts in batch.header.counts.values():
-            self._attempts.update({k: int(v) for k, v in counts.items()})
+        self._attempts.add(batch, selected)
         for test in self.tests:
             if test in verdicts:
                 self._verdicts[test].update(_labels(verdicts[test]["verdict_status"]))
@@ -103,7 +104,7 @@ class Tally:
             "n": self._rows["stored"],
             "selected_rows": self._rows["selected"],
             "audit_rows": self._rows["audit"],
-            "by_status": dict(sorted(self._attempts.items())),
+            **self._attempts.figures(),
             "by_verdict": dict(sorted(self._verdicts[first].items())),
             "kept": _kept(self._kept.values()),
             **_means(metrics[measured]),
@@ -126,6 +127,7 @@ class Tally:
             group = groups[measured]["size"].get(str(size), {})
             out["by_size"][str(size)] = {
                 "kept": _kept([self._kept[size]]),
+                **self._attempts.figures(size),
                 **_means(group.get("metrics", {})),
                 **self._spread(size),
                 **{
@@ -147,10 +149,10 @@ class Tally:
     def _note_scenes(self, batch: GraspBatch, run: str) -> tuple[dict[str, int], set[str]]:
         """Sizes of the scenes of a batch, and which of them this run had not touched before."""
         names = {*batch.header.counts, *np.unique(batch["scene_id"]).tolist()}
-        touched = {scene: _size_of(scene) for scene in sorted(names)}
+        touched = {scene: scene_parts(scene).size_mm for scene in sorted(names)}
         new = {scene for scene in touched if (run, scene) not in self._scenes}
         for scene in new:
-            self._scenes[(run, scene)] = (_object_of(scene), touched[scene])
+            self._scenes[(run, scene)] = (scene_parts(scene).object_id, touched[scene])
         return touched, new
 
     def _add_trials(
@@ -167,12 +169,14 @@ class Tally:
         passed = _passed(batch, verdict)
         in_size = batch["size_mm"] == size
         scenes = [scene for scene, mm in touched.items() if mm == size]
-        for obj in {_object_of(scene) for scene in scenes}:
+        for obj in {scene_parts(scene).object_id for scene in scenes}:
             mine = in_size & (batch["object_id"] == obj)
             kept, drawn = mine & selected, mine & audit
             self._count("selected", test, size, obj, _number(passed & kept), _number(kept))
             if grasps is not None:
-                wanted = grasps * sum(1 for s in scenes if s in new and _object_of(s) == obj)
+                wanted = grasps * sum(
+                    1 for s in scenes if s in new and scene_parts(s).object_id == obj
+                )
                 wins = _number(passed & drawn)
                 self._count("unselected", test, size, obj, wins, _number(drawn), wanted)
 
@@ -237,14 +241,6 @@ def _means(metrics: Mapping[str, Any]) -> dict[str, float | None]:
 
 def _number(mask: np.ndarray) -> int:
     return int(np.count_nonzero(mask))
-
-
-def _object_of(scene_id: str) -> str:
-    return scene_id.rsplit("/", 2)[0]
-
-
-def _size_of(scene_id: str) -> int:
-    return int(scene_id.rsplit("/", 2)[1])
 
 
 def _labels(statuses: np.ndarray) -> Counter[str]:

@@ -15,6 +15,7 @@ from bidexdata.formats.rows import ObjectRows, ReleaseRows, RunInfo
 from bidexdata.formats.tables import OBJECT_FIELDS, RUN_FIELDS, SCENE_FIELDS, plain_schema
 from bidexdata.objects.prepared import Solid
 from bidexdata.objects.sources.item import UNKNOWN
+from bidexdata.record.scene import scene_parts
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -81,14 +82,14 @@ def scene_rows(
             row["counts"].update(part.batch.header.counts.get(scene, {}))
     out = []
     for scene, row in scenes.items():
-        _, size, setting = scene.rsplit("/", 2)
+        named = scene_parts(scene)
         mine = rows.batch["scene_id"] == scene
         out.append(
             {
                 "scene_id": scene,
                 "object_id": object_id,
-                "size_mm": int(size),
-                "setting": "floating" if setting == "float" else "tabletop",
+                "size_mm": named.size_mm,
+                "setting": named.setting,
                 "split": split,
                 "runs": len(row["runs"]),
                 "grasps_wanted": sum(wanted[run] or 0 for run in row["runs"]),

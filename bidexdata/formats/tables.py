@@ -68,7 +68,7 @@ RUN_FIELDS = (
     Field("grasps", "int32", "", "", "", "synth", "runs", "grasps kept per scene (N); -1 = imported, no unselected rate"),
     Field("candidates", "int32", "", "", "", "synth", "runs", "attempts per scene (M); -1 = unknown"),
     Field("seed", "int64", "", "", "", "synth", "runs", "seed of the run"),
-    Field("preset", "string", "", "", "", "synth", "runs", "preset that the configuration started from"),
+    Field("preset", "string", "", "", "", "synth", "runs", "preset (or, of a peer, method) that the configuration started from"),
     Field("setting", "string", "", "", "", "synth", "runs", "floating or tabletop"),
     Field("generator_version", "string", "", "", "", "synth", "runs", "version of bidexdata that made the run"),
     Field("config", "string", "", "", "", "synth", "runs", "canonical JSON of the whole configuration"),

@@ -92,10 +92,12 @@ class SphereFitSpec:
     max_radius: float = 0.0135
     protrusion: float = 0.0015
     """How far a sphere may stand out of the collision geometry."""
-    slack: float = 0.4
+    slack: float = 0.3
     """A surface sample within this share of a sphere's radius outside it counts as covered [-]."""
     worth: float = 4e-4
-    """Area that a further sphere must newly cover [m^2]: corners of boxes are not worth one."""
+    """Area that a further sphere must newly cover [m^2]: corners of boxes are not worth one ..."""
+    worth_share: float = 0.06
+    """... or this share of the body's surface, if that is less [-]: fingertips are small."""
     thin: float = 0.003
     """Parts of less than twice this thickness get no sphere."""
     spacing: float = 0.004

@@ -66,6 +66,7 @@ def _cover(
     protrusion = 0.0 if len(pad_pos) else settings.protrusion
     regular = deep + protrusion >= settings.min_radius
     radius = np.clip(deep + protrusion, settings.min_radius, settings.max_radius)
+    worth = min(settings.worth, settings.worth_share * float(area.sum()))
     open_area = area.copy()
     if len(pad_pos):
         open_area[
@@ -81,7 +82,7 @@ def _cover(
         while len(candidates):
             # Rounded, so that the first of equals wins whatever the order of summation.
             best = int(np.argmax(np.round(gain, 10)))
-            if gain[best] < settings.worth:
+            if gain[best] < worth:
                 break
             newly = (covers[candidates[best]] > 0) & (open_area > 0)
             gain = gain - covers[np.ix_(candidates, newly)] @ open_area[newly]

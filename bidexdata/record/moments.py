@@ -59,7 +59,8 @@ def moments_of_runs(values: ArrayLike, starts: Sequence[int]) -> list[Moments]:
         values: The numbers; NaN and infinities are left out.
         starts: Where each run begins, the first at 0.
     """
-    numbers = np.asarray(values, np.float32).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # some bit patterns of NaN complain when they are widened
+        numbers = np.asarray(values, np.float32).astype(np.float64)
     finite = np.isfinite(numbers)
     numbers = np.where(finite, numbers, 0.0)
     # Both products are exact in float64: 24 bits scaled, and 48 bits scaled.

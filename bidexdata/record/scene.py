@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 from bidexdata.errors import UnknownChoice
 
@@ -50,3 +50,28 @@ class Scene:
         """`<object_id>/<size_mm>/float` or `<object_id>/<size_mm>/table<k>`."""
         tail = "float" if self.setting == "floating" else f"table{self.rest_pose}"
         return f"{self.object_id}/{self.size_mm}/{tail}"
+
+
+class SceneParts(NamedTuple):
+    """What a scene_id says."""
+
+    object_id: str
+    size_mm: int
+    rest_pose: int
+    """-1 when floating."""
+
+    @property
+    def setting(self) -> Setting:
+        """Floating, or on a table."""
+        return "floating" if self.rest_pose < 0 else "tabletop"
+
+
+def scene_parts(scene_id: str) -> SceneParts:
+    """Take a scene_id apart; the inverse of `Scene.scene_id`, but for the pose.
+
+    >>> scene_parts("mug-0a1b2c3d/500/table1")
+    SceneParts(object_id='mug-0a1b2c3d', size_mm=500, rest_pose=1)
+    """
+    object_id, size_mm, place = scene_id.rsplit("/", 2)
+    pose = -1 if place == "float" else int(place.removeprefix("table"))
+    return SceneParts(object_id, int(size_mm), pose)

@@ -6,6 +6,7 @@ separate columns. Numbers are stored in files: never renumber, only append withi
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import IntEnum
 
 
@@ -81,7 +82,7 @@ _SENTENCES = {
     Status.NEAR_DUPLICATE: "an earlier input has nearly the same shape",
     Status.NO_FILE: "there is no such file",
     Status.NO_REGION_PAIR: "no two regions of the object are far enough apart and accessible",
-    Status.NO_PLACEMENT: "no hand pose clear of the object was found at the regions",
+    Status.NO_PLACEMENT: "no pose of the hands clear of each other and the table was found at the regions",
     Status.NOT_FINITE: "the optimisation produced numbers that are not finite",
     Status.PENETRATION_LEFT: "a hand still penetrates the object after the optimisation",
     Status.CONTACT_LOST: "a contact point ended too far from the object's surface",
@@ -100,6 +101,36 @@ _SENTENCES = {
     Status.NOT_LIFTED: "the object stayed on the table when the hands were lifted",
     Status.BLOWN_UP: "the simulation became unstable: something flew faster than is possible",
 }
+
+
+SYNTH_STAGES = {
+    "regions": (Status.NO_REGION_PAIR,),
+    "placement": (Status.NO_PLACEMENT,),
+    "optimisation": (Status.NOT_FINITE,),
+    "checks": (
+        Status.PENETRATION_LEFT,
+        Status.SELF_PENETRATION_LEFT,
+        Status.TABLE_PENETRATION,
+        Status.CONTACT_LOST,
+    ),
+    "ok": (Status.OK,),
+}
+"""Stages of the synthesis, and the statuses of attempts that ended there; `ok` came through."""
+
+
+def by_synth_stage(counts: Mapping[str, int]) -> dict[str, int]:
+    """Add up attempts by the stage at which they ended, every stage in order.
+
+    Args:
+        counts: Attempts per status label.
+
+    >>> by_synth_stage({"ok": 5, "contact_lost": 2, "penetration_left": 1})
+    {'regions': 0, 'placement': 0, 'optimisation': 0, 'checks': 3, 'ok': 5}
+    """
+    return {
+        stage: sum(counts.get(status.label, 0) for status in statuses)
+        for stage, statuses in SYNTH_STAGES.items()
+    }
 
 
 class TestStage(IntEnum):

@@ -95,6 +95,7 @@ def describe_run(run: Run, by: str | None = None, protocol: str | None = None) -
         "path": str(run.path),
         "fingerprint": run.fingerprint,
         "hand": spec.hand,
+        "method": spec.method,
         "preset": spec.preset,
         "setting": spec.setting,
         **_imported(run),

@@ -15,6 +15,7 @@ from bidexdata.runs.finished import Finished, Test
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.run import Run, join_tasks
 from bidexdata.runs.shards import read_mark, shard_path
+from bidexdata.synthesis.method_names import DEFAULT_METHOD
 
 if TYPE_CHECKING:
     import numpy as np
@@ -206,7 +207,7 @@ def run_info(one: NamedRun) -> RunInfo:
         grasps=spec.grasps,
         candidates=spec.candidates,
         seed=spec.seed,
-        preset=spec.preset,
+        preset=spec.preset if spec.method in ("", DEFAULT_METHOD) else spec.method,
         setting=spec.setting,
         library_fingerprint=spec.source_fingerprint,
         version=spec.versions.get("bidexdata", ""),

@@ -18,7 +18,7 @@ from bidexdata.config import fingerprint
 from bidexdata.errors import Contradiction, NotUsable
 from bidexdata.objects.prepared import Solid
 from bidexdata.record import Scene
-from bidexdata.record.scene import Setting
+from bidexdata.record.scene import Setting, scene_parts
 from bidexdata.runs.shards import write_atomically
 
 T = TypeVar("T")
@@ -109,17 +109,16 @@ def scene_ids_of(
 
 def scene_of(scene_id: str, solid: Solid) -> Scene:
     """Build the scene that an id names; on a table the object stands in its rest pose."""
-    object_id, size_mm, place = scene_id.rsplit("/", 2)
+    object_id, size_mm, pose = scene_parts(scene_id)
     if object_id != solid.object_id:
         raise NotUsable(f"scene {scene_id} is not one of {solid.object_id}")
-    if place == "float":
-        return Scene(object_id, int(size_mm))
-    pose = int(place.removeprefix("table"))
+    if pose < 0:
+        return Scene(object_id, size_mm)
     if pose >= len(solid.rest_heights):
         raise NotUsable(f"{object_id} has {len(solid.rest_heights)} rest poses, none is {pose}")
-    height = float(solid.rest_heights[pose]) * int(size_mm) / 1000
+    height = float(solid.rest_heights[pose]) * size_mm / 1000
     w, x, y, z = (float(q) for q in solid.rest_quats_wxyz[pose])
-    return Scene(object_id, int(size_mm), "tabletop", pose, (0.0, 0.0, height), (w, x, y, z))
+    return Scene(object_id, size_mm, "tabletop", pose, (0.0, 0.0, height), (w, x, y, z))
 
 
 def write_plan(path: Path, tasks: Sequence[Task]) -> None:

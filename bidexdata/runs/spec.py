@@ -19,6 +19,7 @@ from bidexdata.record.batch import SCHEMA_VERSION
 from bidexdata.record.scene import Setting
 from bidexdata.runs.plan import Round
 from bidexdata.runs.shards import write_text
+from bidexdata.synthesis.method_names import DEFAULT_METHOD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,9 +28,12 @@ class RunSpec:
 
     kind: Literal["synth", "import", "release"] = "synth"
     """Where the rows come from: made here, imported from another format, or a release's."""
+    method: str = ""
+    """Of the synthesis; empty in imports, and in runs of earlier versions, whose method is the
+    default one."""
     preset: str = ""
     config: Mapping[str, Any] = field(default_factory=dict)
-    """Plain data of the SynthConfig."""
+    """Plain data of the method's configuration."""
     hand: str = ""
     """What `--hand` was: one name or LEFT,RIGHT; paths of specs are relative to the run."""
     hands: tuple[HandHeader, ...] = ()
@@ -62,8 +66,11 @@ class RunSpec:
     def identity(self) -> dict[str, Any]:
         """What may never change in a run: everything but rounds, versions and paths."""
         poses = {"rest_poses": self.rest_poses} if self.rest_poses else {}
+        # The default method is left out, so that runs keep the fingerprints they had before.
+        method = {"method": self.method} if self.method not in ("", DEFAULT_METHOD) else {}
         return {
             "kind": self.kind,
+            **method,
             "config": to_plain(self.config),
             "hands": {h.side: {"name": h.name, "spec_hash": h.spec_hash} for h in self.hands},
             "sizes_mm": list(self.sizes_mm),
@@ -93,6 +100,10 @@ def grown(folder: Path, old: RunSpec, wanted: RunSpec) -> RunSpec:
     Raises:
         ConfigConflict: Another configuration, or fewer grasps; names the keys.
     """
+    was, asked = old.method or DEFAULT_METHOD, wanted.method or DEFAULT_METHOD
+    if was != asked:
+        # Methods have configurations of their own, whose keys say nothing about each other.
+        raise ConfigConflict(folder, [f"method: {was!r} -> {asked!r}"])
     differing = _readable(differing_keys(old.identity(), wanted.identity()))
     grasps, candidates = wanted.grasps or 0, wanted.candidates or 0
     had_grasps, had_candidates = old.grasps or 0, old.candidates or 0

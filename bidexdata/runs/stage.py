@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -40,6 +40,8 @@ class TaskSummary:
     by_status: dict[str, int]
     without_grasp: tuple[str, ...] = ()
     """Scenes of the task that it kept no grasp of."""
+    by_size: dict[int, dict[str, int]] = field(default_factory=dict)
+    """What `by_status` counts, for each `size_mm`; empty where the stage does not say."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +57,8 @@ class StageReport:
     good: int = 0
     by_status: dict[str, int] = field(default_factory=dict)
     without_grasp: tuple[str, ...] = ()
+    by_size: dict[int, dict[str, int]] = field(default_factory=dict)
+    """`by_status` for each `size_mm`."""
     seconds: float = 0.0
 
     @property
@@ -89,6 +93,7 @@ def run_stage(
     failures: list[TaskFailure] = []
     rows = good = 0
     by_status: Counter[str] = Counter()
+    by_size: dict[int, Counter[str]] = defaultdict(Counter)
     without: list[str] = []
     logger = log_to(logs)
     before = len(tasks) - len(open_tasks)
@@ -106,6 +111,8 @@ def run_stage(
                 rows += result.rows
                 good += result.good
                 by_status.update(result.by_status)
+                for size, counts in result.by_size.items():
+                    by_size[size].update(counts)
                 without += result.without_grasp
             progress.advance()
     return StageReport(
@@ -116,5 +123,6 @@ def run_stage(
         good=good,
         by_status=dict(by_status),
         without_grasp=tuple(sorted(without)),
+        by_size={size: dict(counts) for size, counts in sorted(by_size.items())},
         seconds=time.monotonic() - start,
     )

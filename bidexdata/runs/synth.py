@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from bidexdata.devices import check_device
 from bidexdata.errors import BadConfig, BadValue, NotUsable
 from bidexdata.kinds import kind_of
 from bidexdata.record import GraspBatch, Status
-from bidexdata.record.scene import Setting, setting_of
+from bidexdata.record.scene import Setting, scene_parts, setting_of
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.plan import (
@@ -40,10 +40,11 @@ from bidexdata.runs.spec import (
     write_spec,
 )
 from bidexdata.runs.stage import StageReport, TaskExecution, TaskSummary, run_stage
+from bidexdata.synthesis.method_names import DEFAULT_METHOD
 
 if TYPE_CHECKING:
     from bidexdata.objects.library import Library
-    from bidexdata.synthesis.config import SynthConfig
+    from bidexdata.synthesis.methods import MethodConfig
 
 PAPER_SIZES_MM = tuple(range(300, 801, 50))
 """The paper's eleven sizes, 0.30 to 0.80 m (section 6)."""
@@ -56,7 +57,9 @@ DEFAULT_REST_POSES = 1
 class SynthRequest:
     """What `bidexdata synth` was asked for."""
 
-    config: SynthConfig
+    config: MethodConfig
+    """Its class is that of the method."""
+    method: str = DEFAULT_METHOD
     preset: str = "default"
     hand: str = "shadow"
     sizes_mm: tuple[int, ...] = PAPER_SIZES_MM
@@ -70,7 +73,17 @@ class SynthRequest:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        from bidexdata.synthesis.methods import load_method
+
         setting_of(self.setting)
+        method = load_method(self.method)
+        if self.preset != "default" and self.method != DEFAULT_METHOD:
+            raise BadConfig(
+                f"--preset {self.preset} belongs to the method {DEFAULT_METHOD}; {self.method} has "
+                "none"
+            )
+        if self.setting == "tabletop" and not method.tabletop:
+            raise BadConfig(f"--method {self.method} knows no table; use --setting floating")
         if not self.sizes_mm or any(not 10 <= mm <= 5000 for mm in self.sizes_mm):
             raise BadValue("--sizes: give sizes in metres between 0.01 and 5, such as 0.3,0.5")
         twice = [mm for mm, n in Counter(self.sizes_mm).items() if n > 1]
@@ -133,6 +146,7 @@ def start_run(library: Library, out: Path, request: SynthRequest) -> Run:
     out.mkdir(parents=True, exist_ok=True)
     if spec != old:
         write_spec(out, spec)
+        open_unchanged.cache_clear()  # inline tasks of this process must see a new round
     _write_missing_rounds(library, out, spec, fresh=old is None)
     return Run(out, spec)
 
@@ -153,6 +167,7 @@ def _wanted(library: Library, out: Path, request: SynthRequest, old: RunSpec | N
     else:
         candidates = grasps * per_grasp
     return RunSpec(
+        method=request.method,
         preset=request.preset,
         config=to_plain(request.config),
         hand=portable_hand(request.hand, out),
@@ -202,7 +217,7 @@ def _write_missing_rounds(library: Library, out: Path, spec: RunSpec, *, fresh: 
 
 
 def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) -> TaskSummary:
-    from bidexdata.synthesis.config import SynthConfig
+    from bidexdata.synthesis.methods import load_method
     from bidexdata.synthesis.pipeline import synthesize
 
     run = open_unchanged(run_path, run_fingerprint)
@@ -215,7 +230,7 @@ def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) ->
         obj,
         (left, right),
         [scene_of(s, obj) for s in task.scene_ids],
-        from_plain(SynthConfig, run.spec.config),
+        from_plain(load_method(run.spec.method or DEFAULT_METHOD).config, run.spec.config),
         round_seed(run.spec.seed, task.round),
         run_fingerprint=run.fingerprint,
         grasps=one.grasps,
@@ -227,8 +242,10 @@ def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) ->
     path = shard_path(run.stage_folder("rows"), task.task_id)
     write_shard(path, batch.to_arrow(), run.fingerprint, device=device)
     counts: Counter[str] = Counter()
-    for found in batch.header.counts.values():
+    by_size: dict[int, Counter[str]] = defaultdict(Counter)
+    for scene_id, found in batch.header.counts.items():
         counts.update(found)
+        by_size[scene_parts(scene_id).size_mm].update(found)
     seconds = time.monotonic() - start
     logging.getLogger(__name__).info(
         "task %s: %d rows in %.1f s", task.task_id, len(batch), seconds
@@ -236,7 +253,8 @@ def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) ->
     good = int((batch["selected"] & (batch["synth_status"] == Status.OK)).sum())
     kept = set(batch["scene_id"][batch["selected"]].tolist())
     without = tuple(s for s in task.scene_ids if s not in kept)
-    return TaskSummary(len(batch), good, dict(counts), without)
+    sized = {size: dict(found) for size, found in by_size.items()}
+    return TaskSummary(len(batch), good, dict(counts), without, sized)
 
 
 def round_seed(seed: int, number: int) -> int:

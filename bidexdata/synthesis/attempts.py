@@ -16,8 +16,8 @@ from jaxtyping import Float, Int
 
 from bidexdata.frames import matrix_from_quat
 from bidexdata.record import Scene, Status
-from bidexdata.synthesis.placement import place_palms
-from bidexdata.synthesis.regions import select_region_pairs
+from bidexdata.synthesis.placement import Placement, place_palms
+from bidexdata.synthesis.regions import RegionPairs, select_region_pairs
 from bidexdata.synthesis.table import table_plane
 from bidexdata.synthesis.workspace import Start
 
@@ -39,6 +39,10 @@ class Attempts:
     region_id: Int[np.ndarray, "M 2"]
     """Anchor of each hand's region; -1 without a region pair."""
     region_score: Float[np.ndarray, " M"]
+    pairs: RegionPairs
+    """What the attempts choose from, best first."""
+    placed: Placement | None
+    """Region pair and start of every attempt; None without a region pair."""
     start: Start
     """The K starts, in the order of their attempts, object frame."""
 
@@ -82,7 +86,7 @@ def draw_attempts(
     regions = replace(config.regions, contacts=min(config.regions.contacts, fewest))
     pairs = select_region_pairs(obj, scene, regions, np.random.default_rng([own, 0]))
     if len(pairs.score) == 0:
-        return _without_start(hands, scene, own, count)
+        return _without_start(hands, scene, own, count, pairs)
     rng = np.random.default_rng([own, 1])
     placed = place_palms(obj, hands, scene, pairs, config.placement, rng, count, grown=grown)
     ok, pair = placed.ok, placed.pair_index
@@ -103,6 +107,8 @@ def draw_attempts(
         status=np.where(ok, Status.OK, Status.NO_PLACEMENT).astype(np.int8),
         region_id=pairs.anchors[pair],
         region_score=pairs.score[pair],
+        pairs=pairs,
+        placed=placed,
         start=start,
     )
 
@@ -123,7 +129,9 @@ def gather_starts(attempts: Sequence[Attempts]) -> Start:
     )
 
 
-def _without_start(hands: tuple[Hand, Hand], scene: Scene, seed: int, count: int) -> Attempts:
+def _without_start(
+    hands: tuple[Hand, Hand], scene: Scene, seed: int, count: int, pairs: RegionPairs
+) -> Attempts:
     joints = [np.zeros((0, len(hand.joint_names))) for hand in hands]
     return Attempts(
         scene=scene,
@@ -131,6 +139,8 @@ def _without_start(hands: tuple[Hand, Hand], scene: Scene, seed: int, count: int
         status=np.full(count, Status.NO_REGION_PAIR, np.int8),
         region_id=np.full((count, 2), -1),
         region_score=np.full(count, np.nan),
+        pairs=pairs,
+        placed=None,
         start=Start(
             size=np.zeros(0),
             position=np.zeros((0, 2, 3)),

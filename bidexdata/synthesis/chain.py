@@ -9,7 +9,7 @@ A call of the list does not wait for the device and allocates nothing.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
@@ -43,7 +43,7 @@ def kinematics(ws: Workspace) -> list[Call]:
     for hand in ws.hands:
         pose = (hand.position, hand.rotation, hand.joints)
         arguments = forward_arguments(hand.model, hand.points, *pose)
-        calls.append(_record(ws, hand_forward, (ws.count,), arguments))
+        calls.append(recorded(ws, hand_forward, (ws.count,), arguments))
     return calls
 
 
@@ -52,7 +52,7 @@ def surface(ws: Workspace, energy: EnergyConfig) -> list[Call]:
     c = ws.contacts
     arguments = [ws.field, ws.size, energy.normal_step, c.centres]
     arguments += [c.distance, c.direction, c.points, c.normals_in]
-    return [_record(ws, distance_field_kernels.closest_surface, c.centres.shape, arguments)]
+    return [recorded(ws, distance_field_kernels.closest_surface, c.centres.shape, arguments)]
 
 
 def distance_term(ws: Workspace, energy: EnergyConfig, target: float) -> list[Call]:
@@ -60,7 +60,7 @@ def distance_term(ws: Workspace, energy: EnergyConfig, target: float) -> list[Ca
     c = ws.contacts
     arguments = [c.radius, energy.distance, target, c.distance, c.direction]
     arguments += [c.distance_energy, c.centre_gradient]
-    return [_record(ws, contact_kernels.contact_distance, c.centres.shape, arguments)]
+    return [recorded(ws, contact_kernels.contact_distance, c.centres.shape, arguments)]
 
 
 def target_term(ws: Workspace, energy: EnergyConfig, target: float) -> list[Call]:
@@ -68,7 +68,7 @@ def target_term(ws: Workspace, energy: EnergyConfig, target: float) -> list[Call
     c = ws.contacts
     arguments = [c.radius, energy.distance, target, c.centres, c.points, c.normals_in]
     arguments += [c.distance_energy, c.centre_gradient]
-    return [_record(ws, contact_kernels.contact_target, c.centres.shape, arguments)]
+    return [recorded(ws, contact_kernels.contact_target, c.centres.shape, arguments)]
 
 
 def region_term(ws: Workspace, energy: EnergyConfig) -> list[Call]:
@@ -77,7 +77,7 @@ def region_term(ws: Workspace, energy: EnergyConfig) -> list[Call]:
     arguments = [c.hand, c.radius, energy.region, energy.region_threshold]
     arguments += [c.regions, c.centres, c.normals_in]
     arguments += [c.region_energy, c.centre_gradient, c.normal_gradient]
-    return [_record(ws, contact_kernels.contact_region, c.centres.shape, arguments)]
+    return [recorded(ws, contact_kernels.contact_region, c.centres.shape, arguments)]
 
 
 def closure_term(
@@ -125,7 +125,7 @@ def circling_closure_term(
     distance = wp.zeros(shape, dtype=float, device=ws.device)
     bases = [hand.position for hand in ws.hands]
     arguments = [c.hand, closure.shift, 0.0, *bases, c.points, c.normals_in, centres]
-    circle = _launch(ws, contact_kernels.circling_centres, shape, arguments)
+    circle = launch_of(ws, contact_kernels.circling_centres, shape, arguments)
     done = itertools.count()
 
     def move() -> None:
@@ -149,10 +149,10 @@ def circling_closure_term(
     back = [*field, points, normals, point_gradient, normal_gradient, c.centre_gradient]
     return [
         move,
-        _record(ws, distance_field_kernels.closest_surface, shape, to_surface),
+        recorded(ws, distance_field_kernels.closest_surface, shape, to_surface),
         solve,
         differentiate,
-        _record(ws, distance_field_kernels.surface_chain, shape, back),
+        recorded(ws, distance_field_kernels.surface_chain, shape, back),
     ]
 
 
@@ -161,7 +161,7 @@ def pad_term(ws: Workspace, energy: EnergyConfig) -> list[Call]:
     c = ws.contacts
     arguments = [energy.pad, energy.pad_cosine, c.pads, c.normals_in]
     arguments += [c.pad_energy, c.pad_gradient, c.normal_gradient]
-    return [_record(ws, contact_kernels.contact_pad, c.centres.shape, arguments)]
+    return [recorded(ws, contact_kernels.contact_pad, c.centres.shape, arguments)]
 
 
 def chain_to_centres(ws: Workspace, energy: EnergyConfig) -> list[Call]:
@@ -169,18 +169,28 @@ def chain_to_centres(ws: Workspace, energy: EnergyConfig) -> list[Call]:
     c = ws.contacts
     arguments = [ws.field, ws.size, energy.normal_step, c.points, c.normals_in]
     arguments += [c.point_gradient, c.normal_gradient, c.centre_gradient]
-    return [_record(ws, distance_field_kernels.surface_chain, c.centres.shape, arguments)]
+    return [recorded(ws, distance_field_kernels.surface_chain, c.centres.shape, arguments)]
 
 
-def collision_terms(ws: Workspace, energy: EnergyConfig) -> list[Call]:
-    """Spheres against object, table, their own hand and the other hand."""
-    return [call for h in range(len(ws.hands)) for call in _collisions_of(ws, h, energy)]
+def collision_terms(
+    ws: Workspace, energy: EnergyConfig, reach: Sequence[Any] | None = None
+) -> list[Call]:
+    """Spheres against object, table, their own hand and the other hand.
+
+    Args:
+        ws: The grasps.
+        energy: Weights and margins.
+        reach: How far each sphere of each hand reaches towards the object before its margin [m],
+            (K,) each; their radii when omitted.
+    """
+    reach = reach or [hand.model.sphere_radius for hand in ws.hands]
+    return [call for h in range(len(ws.hands)) for call in _collisions_of(ws, h, energy, reach[h])]
 
 
 def backward(ws: Workspace) -> list[Call]:
     """Gradients at contacts, pads and spheres -> gradient of each hand's variables (J^T)."""
     return [
-        _record(ws, hand_backward, (ws.count,), backward_arguments(hand.model, hand.points))
+        recorded(ws, hand_backward, (ws.count,), backward_arguments(hand.model, hand.points))
         for hand in ws.hands
     ]
 
@@ -190,26 +200,26 @@ def adam(ws: Workspace, rule: AdamConfig, phase: PhaseConfig) -> list[Callable[[
     return [_adam_of(ws, hand, rule, phase) for hand in ws.hands]
 
 
-def _collisions_of(ws: Workspace, h: int, energy: EnergyConfig) -> list[Call]:
+def _collisions_of(ws: Workspace, h: int, energy: EnergyConfig, reach: Any) -> list[Call]:
     k, hand, other = sphere_kernels, ws.hands[h], ws.hands[1 - h]
     centres, push = hand.points.sphere, hand.points.sphere_grad
     radius, other_radius = hand.model.sphere_radius, other.model.sphere_radius
     depth, overlap = energy.penetration, energy.self_penetration
     one, each = (ws.count,), centres.shape
 
-    arguments = [radius, ws.field, ws.size, depth, energy.object_margin, centres]
+    arguments = [reach, ws.field, ws.size, depth, energy.object_margin, centres]
     arguments += [hand.measured, hand.sphere_energy, push]
-    calls = [_record(ws, k.sphere_object, each, arguments)]
+    calls = [recorded(ws, k.sphere_object, each, arguments)]
     if ws.has_table:
         arguments = [radius, ws.plane, depth, energy.table_margin, centres]
-        calls.append(_record(ws, k.sphere_plane, each, [*arguments, hand.sphere_energy, push]))
+        calls.append(recorded(ws, k.sphere_plane, each, [*arguments, hand.sphere_energy, push]))
     arguments = [radius, hand.model.self_pairs, overlap, energy.self_margin, centres]
-    calls.append(_record(ws, k.sphere_self, one, [*arguments, hand.self_energy, push]))
+    calls.append(recorded(ws, k.sphere_self, one, [*arguments, hand.self_energy, push]))
     arguments = [other_radius, other.points.sphere, other.low, other.high]
-    calls.append(_record(ws, k.hand_box, one, arguments))
+    calls.append(recorded(ws, k.hand_box, one, arguments))
     arguments = [radius, other_radius, overlap, energy.inter_margin]
     arguments += [centres, other.points.sphere, other.low, other.high]
-    calls.append(_record(ws, k.sphere_other, each, [*arguments, hand.other_energy, push]))
+    calls.append(recorded(ws, k.sphere_other, each, [*arguments, hand.other_energy, push]))
     return calls
 
 
@@ -221,7 +231,7 @@ def _adam_of(
     changing = len(arguments)
     arguments += [1.0, 1.0, 1.0, hand.points.gradient, hand.first_moment, hand.second_moment]
     arguments += [hand.position, hand.rotation, hand.joints]
-    launch = _launch(ws, adam_step, (ws.count,), arguments)
+    launch = launch_of(ws, adam_step, (ws.count,), arguments)
 
     def step(i: int) -> None:
         if not launch:
@@ -239,11 +249,13 @@ def _adam_of(
     return step
 
 
-def _record(ws: Workspace, kernel: Any, dim: tuple[int, ...], arguments: list[Any]) -> Call:
-    launch = _launch(ws, kernel, dim, arguments)
+def recorded(ws: Workspace, kernel: Any, dim: tuple[int, ...], arguments: list[Any]) -> Call:
+    """A launch with fixed arguments, as a call."""
+    launch = launch_of(ws, kernel, dim, arguments)
     # Warp records nothing for a batch without grasps.
     return launch.launch if launch else lambda: None
 
 
-def _launch(ws: Workspace, kernel: Any, dim: tuple[int, ...], arguments: list[Any]) -> Any:
+def launch_of(ws: Workspace, kernel: Any, dim: tuple[int, ...], arguments: list[Any]) -> Any:
+    """A recorded launch, whose arguments can be changed; None for a batch without grasps."""
     return wp.launch(kernel, dim=dim, inputs=arguments, device=ws.device, record_cmd=True)

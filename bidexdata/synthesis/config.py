@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from bidexdata.synthesis.optimise_config import OptimiseConfig
+from bidexdata.synthesis.optimise_config import ClosureConfig, OptimiseConfig
 from bidexdata.synthesis.placement import PlacementConfig
 from bidexdata.synthesis.regions import RegionConfig
 from bidexdata.synthesis.selection import SelectionConfig
@@ -23,3 +23,18 @@ class SynthConfig:
     optimise: OptimiseConfig = field(default_factory=OptimiseConfig)
     staging: StagingConfig = field(default_factory=StagingConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
+
+    @property
+    def steps(self) -> int:
+        """Optimiser steps of each attempt."""
+        return self.optimise.steps
+
+    @property
+    def normal_step(self) -> float:
+        """Half width of the differences that give normals [m]."""
+        return self.optimise.energy.normal_step
+
+    @property
+    def closure(self) -> ClosureConfig:
+        """QPs whose residuals stand in the record."""
+        return self.optimise.closure

@@ -9,16 +9,16 @@ Source: BiDexGrasp, sections 4.3 and 4.4; phases as in BODex; step rule and weig
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from bidexdata.frames import quat_from_matrix
 from bidexdata.synthesis import chain
 from bidexdata.synthesis.pose import Pose
+from bidexdata.synthesis.readout import Energies, read_energies, read_pose
 from bidexdata.synthesis.workspace import Start, Workspace, allocate
 from bidexdata.wrench.qp import ContactQP, allocate_contact_qp, solve_contact_qp
 from bidexdata.wrench.qp_groups import axis_targets, qp_groups, zero_target
@@ -29,16 +29,20 @@ if TYPE_CHECKING:
     from bidexdata.synthesis.optimise_config import ClosureConfig, OptimiseConfig, PhaseConfig
 
 
-class Energies(NamedTuple):
-    """Unweighted energies of N grasps at the grasp."""
+class Look(NamedTuple):
+    """One look at an optimisation: the energies on the device are those of the poses on it."""
 
-    distance: Float[np.ndarray, " N"]
-    region: Float[np.ndarray, " N"]
-    pad: Float[np.ndarray, " N"]
-    penetration: Float[np.ndarray, " N"]
-    self_penetration: Float[np.ndarray, " N"]
-    closure: Float[np.ndarray, " N"]
-    """Q over all groups and disturbances of the configuration."""
+    phase: Literal["approach", "pregrasp", "grasp", "end"]
+    """`end` is the evaluation of the finished grasp."""
+    step: int
+    """Within the phase; its move is still to come."""
+    workspace: Workspace
+    closure: ContactQP | None
+    """Residuals of the contact groups; None in phases without closure and region terms."""
+
+
+Watch = Callable[[Look], None]
+"""Looks at the state of every step, between its energies and its move. Must not change it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -64,6 +68,7 @@ def optimise(
     config: OptimiseConfig,
     *,
     device: str = "cpu",
+    watch: Watch | None = None,
 ) -> Optimised:
     """Turn starts into pre-grasps and grasps. Draws nothing at random.
 
@@ -73,13 +78,25 @@ def optimise(
         start: N starts.
         config: Energies, closure, phases.
         device: Warp device.
+        watch: Looks on.
     """
     ws = allocate(obj, hands, start, torque_lengths(obj, start.size, config.closure), device)
-    _approach(ws, config)
-    _settle(ws, config, config.pregrasp)
+    _approach(ws, config, watch)
+    _settle(ws, config, "pregrasp", watch)
     pregrasp = read_pose(ws, hands)
-    _settle(ws, config, config.grasp)
-    energies = _evaluate(ws, config)
+    _settle(ws, config, "grasp", watch)
+    return found_at(ws, hands, pregrasp, config, watch)
+
+
+def found_at(
+    ws: Workspace,
+    hands: Sequence[Hand],
+    pregrasp: Pose,
+    config: OptimiseConfig,
+    watch: Watch | None = None,
+) -> Optimised:
+    """Collect what stands on the device as the grasp, with its contacts and energies."""
+    energies = _evaluate(ws, config, watch)
     grasp = read_pose(ws, hands)
     contacts = ws.contacts
     shape = (ws.count, 2, contacts.centres.shape[1] // 2)
@@ -105,23 +122,7 @@ def torque_lengths(
     return np.maximum(closure.torque_length * longest * size, closure.least_torque_length)
 
 
-def read_pose(ws: Workspace, hands: Sequence[Hand]) -> Pose:
-    """Copy the hands' poses from the device."""
-    joints = []
-    for hand, state in zip(hands, ws.hands, strict=True):
-        u = state.joints.numpy().astype(np.float64)
-        # One product per joint, so that the batch's size cannot change the rounding.
-        q = np.sum(u[:, None, :] * hand.coupling[None], axis=2)
-        joints.append(np.clip(q, hand.joint_lower, hand.joint_upper))
-    rotations = np.stack([s.rotation.numpy() for s in ws.hands], axis=1).astype(np.float64)
-    finite = np.all(np.isfinite(rotations), axis=(-1, -2))
-    quats = quat_from_matrix(np.where(finite[..., None, None], rotations, np.eye(3)))
-    position = np.stack([s.position.numpy() for s in ws.hands], axis=1).astype(np.float64)
-    position[~finite] = np.nan
-    return Pose(position, quats, (joints[0], joints[1]))
-
-
-def _approach(ws: Workspace, config: OptimiseConfig) -> None:
+def _approach(ws: Workspace, config: OptimiseConfig, watch: Watch | None) -> None:
     """Phase 1: closure, distance, region; where to touch."""
     energy, closure, phase = config.energy, config.closure, config.approach
     qp, weights = closure_problem(ws, closure)
@@ -152,14 +153,21 @@ def _approach(ws: Workspace, config: OptimiseConfig) -> None:
         *chain.collision_terms(ws, energy),
         *chain.backward(ws),
     ]
-    _iterate(ws, step, config, phase)
+    look = None if watch is None else lambda i: watch(Look("approach", i, ws, qp))
+    _iterate(ws, step, config, phase, look)
     for call in run:
         call()
 
 
-def _settle(ws: Workspace, config: OptimiseConfig, phase: PhaseConfig) -> None:
+def _settle(
+    ws: Workspace,
+    config: OptimiseConfig,
+    name: Literal["pregrasp", "grasp"],
+    watch: Watch | None,
+) -> None:
     """Phases 2 and 3: pads to a distance over the surface points of the state, which stay."""
     energy = config.energy
+    phase: PhaseConfig = getattr(config, name)
     ws.contacts.normal_gradient.zero_()
     step = [
         *chain.kinematics(ws),
@@ -168,11 +176,16 @@ def _settle(ws: Workspace, config: OptimiseConfig, phase: PhaseConfig) -> None:
         *chain.collision_terms(ws, energy),
         *chain.backward(ws),
     ]
-    _iterate(ws, step, config, phase)
+    look = None if watch is None else lambda i: watch(Look(name, i, ws, None))
+    _iterate(ws, step, config, phase, look)
 
 
 def _iterate(
-    ws: Workspace, step: list[chain.Call], config: OptimiseConfig, phase: PhaseConfig
+    ws: Workspace,
+    step: list[chain.Call],
+    config: OptimiseConfig,
+    phase: PhaseConfig,
+    look: Callable[[int], None] | None,
 ) -> None:
     for hand in ws.hands:
         hand.first_moment.zero_()
@@ -181,11 +194,13 @@ def _iterate(
     for i in range(phase.steps):
         for call in step:
             call()
+        if look is not None:
+            look(i)
         for move in moves:
             move(i)
 
 
-def _evaluate(ws: Workspace, config: OptimiseConfig) -> Energies:
+def _evaluate(ws: Workspace, config: OptimiseConfig, watch: Watch | None) -> Energies:
     """Surface under the pads and all energies of the state."""
     energy, closure = config.energy, config.closure
     qp, _ = closure_problem(ws, closure)
@@ -207,27 +222,9 @@ def _evaluate(ws: Workspace, config: OptimiseConfig) -> Energies:
         closure.qp,
         iterations=max(closure.start_iterations, 100),
     )
-    real = np.zeros((2, c.centres.shape[1] // 2), bool)
-    for h, count in enumerate(ws.contacts_per_hand):
-        real[h, :count] = True
-
-    def per_grasp(values: Any, columns: slice | np.ndarray = slice(None)) -> np.ndarray:
-        # Contiguous rows are summed alike whatever their number.
-        rows = np.ascontiguousarray(values.numpy()[:, columns])
-        return np.asarray(np.sum(rows, axis=tuple(range(1, rows.ndim)), dtype=np.float64))
-
-    depth = [per_grasp(s.sphere_energy) for s in ws.hands]
-    other = [per_grasp(s.other_energy) for s in ws.hands]
-    own = [s.self_energy.numpy().astype(np.float64) for s in ws.hands]
-    places = real.ravel()
-    return Energies(
-        distance=per_grasp(c.distance_energy, places),
-        region=per_grasp(c.region_energy, places),
-        pad=per_grasp(c.pad_energy, places),
-        penetration=depth[0] + depth[1],
-        self_penetration=own[0] + own[1] + other[0] + other[1],
-        closure=per_grasp(qp.residual),
-    )
+    if watch is not None:
+        watch(Look("end", 0, ws, qp))
+    return read_energies(ws, qp)
 
 
 def closure_problem(ws: Workspace, closure: ClosureConfig) -> tuple[ContactQP, Any]:

@@ -95,10 +95,11 @@ class EnergyConfig:
     pad_cosine: float = 0.75
     """Least cosine between pad normal and inward surface normal that costs nothing.
     Measurements, 4."""
-    object_margin: float = 0.001
-    """Spheres keep this far from the object [m]. Measurements, 4."""
+    object_margin: float = 0.002
+    """Spheres keep this far from the object [m]: about as far as a hand stands out of its spheres.
+    Measurements, 15."""
     table_margin: float = 0.002
-    """Spheres keep this far from the table [m]. Ours, twice the object margin."""
+    """Spheres keep this far from the table [m]. Ours, the same as for the object."""
     self_margin: float = 0.002
     """Spheres of one hand keep this far apart [m]. BODex, activation 2 mm; measurements, 4."""
     inter_margin: float = 0.005
@@ -171,7 +172,7 @@ def _pregrasp() -> PhaseConfig:
 
 def _grasp() -> PhaseConfig:
     return PhaseConfig(
-        steps=40, distance=0.0, step_position=0.0007, step_rotation=0.007, step_joints=0.015
+        steps=70, distance=0.0, step_position=0.0007, step_rotation=0.007, step_joints=0.015
     )
 
 

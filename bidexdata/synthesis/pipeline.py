@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from bidexdata.config import fingerprint
 from bidexdata.frames import quat_multiply, quat_rotate
 from bidexdata.record import GraspBatch, Scene, Status
-from bidexdata.synthesis.attempts import Attempts, draw_attempts, gather_starts
+from bidexdata.synthesis.attempts import Attempts
 from bidexdata.synthesis.config import SynthConfig
 from bidexdata.synthesis.forces import (
     ContactForces,
@@ -23,16 +22,27 @@ from bidexdata.synthesis.forces import (
     joint_torques,
     shifted_residual,
 )
-from bidexdata.synthesis.optimise import Optimised, optimise
+from bidexdata.synthesis.methods import MethodConfig, Search, method_of
+from bidexdata.synthesis.optimise import Optimised
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.rows import scene_rows
-from bidexdata.synthesis.selection import audit, best, judge
-from bidexdata.synthesis.staging import squeeze
+from bidexdata.synthesis.selection import SelectionConfig, audit, best, judge
 
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
     from bidexdata.objects.prepared import PreparedObject
     from bidexdata.simulation.scene import SimScene
+
+
+class Overlaps(NamedTuple):
+    """Deepest overlaps on the hands' own geometry [m], zero or more; NaN where not finite."""
+
+    depth: np.ndarray
+    """Hands and object at the pre-grasp, (K,)."""
+    among_hands: np.ndarray
+    """Within a hand or between hands at the pre-grasp, (K,)."""
+    table: np.ndarray
+    """Hands and table at the stage where they are deepest in it; 0 without one, (K,)."""
 
 
 class Staged(NamedTuple):
@@ -45,17 +55,34 @@ class Staged(NamedTuple):
     """Residual of moved contacts [-], (K,)."""
     force_scale: np.ndarray
     """[N] per unit of force, (K, 2)."""
-    depth: np.ndarray
-    """Pre-grasp penetration [m], (K,)."""
+    overlaps: Overlaps
+    """Each (K,)."""
     status: np.ndarray
     """(K,)."""
+
+
+class Outcome(NamedTuple):
+    """What became of all M attempts of a scene; NaN where there is no start or no finite pose."""
+
+    status: np.ndarray
+    """(M,)."""
+    depth: np.ndarray
+    """Pre-grasp penetration [m], (M,)."""
+    residual: np.ndarray
+    """Coupled zero-load QP residual [-], (M,)."""
+    shifted: np.ndarray
+    """Residual of moved contacts [-], (M,)."""
+    selected: np.ndarray
+    """One of the best, (M,)."""
+    audit: np.ndarray
+    """One of those drawn beforehand, (M,)."""
 
 
 def synthesize(
     obj: PreparedObject,
     hands: tuple[Hand, Hand],
     scenes: Sequence[Scene],
-    config: SynthConfig | None = None,
+    config: MethodConfig | None = None,
     seed: int = 0,
     *,
     run_fingerprint: str = "",
@@ -70,7 +97,7 @@ def synthesize(
         obj: The object.
         hands: Left and right.
         scenes: Of this object; each is independent of the others.
-        config: All constants; the defaults when omitted.
+        config: All constants; its class says the method. Our defaults when omitted.
         seed: Of the run; each scene derives its own.
         run_fingerprint: Names the run in the grasps' ids.
         grasps: N, grasps kept per scene.
@@ -87,46 +114,49 @@ def synthesize(
         raise ValueError(f"every scene must be one of {obj.object_id}")
     count = candidates or config.selection.candidates_per_grasp * grasps
     grown = first_attempt > 0
-    attempts = [draw_attempts(obj, hands, s, config, seed, count, grown=grown) for s in scenes]
-    staged = _grasp(obj, hands, attempts, config, device)
+    draw = method_of(config).draw
+    attempts = [draw(obj, hands, s, config, seed, count, grown=grown) for s in scenes]
+    staged = grasp_attempts(obj, hands, attempts, config, device)
     made = []
     for one, rows in zip(attempts, _rows_per_scene(attempts), strict=True):
-        status, depth, residual, shifted = _outcome(one, staged, rows)
+        found = outcome(one, staged, rows, grasps, config.selection)
         made.append(
             scene_rows(
-                hands,
-                one,
-                staged,
-                rows,
-                status=status,
-                selected=best(status, depth, residual, shifted, grasps, config.selection),
-                audit=audit(count, grasps, np.random.default_rng([one.seed, 2])),
-                steps=config.optimise.steps,
+                *(hands, one, staged, rows, found, config),
                 first_attempt=first_attempt,
                 run_fingerprint=run_fingerprint,
-                fingerprints={"synth": fingerprint(config)},
             )
         )
     return GraspBatch.concat(made)
 
 
-def _grasp(
+def grasp_attempts(
     obj: PreparedObject,
     hands: tuple[Hand, Hand],
     attempts: Sequence[Attempts],
-    config: SynthConfig,
-    device: str,
+    config: MethodConfig,
+    device: str = "cpu",
+    *,
+    search: Search | None = None,
 ) -> Staged:
-    """Optimise all starts, balance the contact forces, and aim the squeeze."""
-    found = optimise(obj, hands, gather_starts(attempts), config.optimise, device=device)
-    forces = contact_forces(
-        found.workspace, config.optimise.closure, config.selection.residual_iterations
-    )
+    """Find the poses of all starts, balance the contact forces, and aim the squeeze.
+
+    Args:
+        obj: The object.
+        hands: Left and right.
+        attempts: Of each scene.
+        config: All constants; its class says the method.
+        device: Warp device.
+        search: In place of the method's own.
+    """
+    method = method_of(config)
+    found = (search or method.search)(obj, hands, attempts, config, device=device)
+    forces = contact_forces(found.workspace, config.closure, config.selection.residual_iterations)
     select, staging = config.selection, config.staging
     shifted = shifted_residual(
         found.workspace,
-        config.optimise.closure,
-        config.optimise.energy.normal_step,
+        config.closure,
+        config.normal_step,
         shift=select.shift,
         sets=select.shifted_sets,
         iterations=select.shifted_iterations,
@@ -141,12 +171,14 @@ def _grasp(
         staging.force_per_weight,
     )
     torques = joint_torques(found.workspace, forces.forces * scale[:, :, None, None])
-    target = squeeze(found.pregrasp, found.grasp, torques, hands, staging)
+    target = method.aim(found, torques, hands, config)
     finite = found.pregrasp.finite() & found.grasp.finite() & target.finite()
     stages = (found.pregrasp, found.grasp, target)
-    depth, among, table = _depths(obj, hands, attempts, stages, finite)
-    status = judge(finite, found.gaps, depth, select, among_hands=among, table=table)
-    return Staged(found, target, forces, shifted, scale, depth, status)
+    deep = Overlaps(*_depths(obj, hands, attempts, stages, finite))
+    status = judge(
+        *(finite, found.gaps, deep.depth, select), among_hands=deep.among_hands, table=deep.table
+    )
+    return Staged(found, target, forces, shifted, scale, deep, status)
 
 
 def _depths(
@@ -213,15 +245,25 @@ def _rows_per_scene(attempts: Sequence[Attempts]) -> list[np.ndarray]:
     return [np.arange(a, b) for a, b in zip(starts, ends, strict=True)]
 
 
-def _outcome(
-    one: Attempts, staged: Staged, rows: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Status, pre-grasp depth, coupled and shifted residual of all M attempts of a scene."""
+def outcome(
+    one: Attempts, staged: Staged, rows: np.ndarray, grasps: int, config: SelectionConfig
+) -> Outcome:
+    """Say what became of all M attempts of a scene.
+
+    Args:
+        one: The scene's attempts.
+        staged: Finished grasps of all scenes.
+        rows: Which of those are this scene's, in the order of its attempts with a start.
+        grasps: N, grasps kept, and as many drawn for the audit.
+        config: Of the selection.
+    """
     placed = one.status == Status.OK
     status = one.status.copy()
     status[placed] = staged.status[rows]
     depth, residual, shifted = np.full((3, len(status)), np.nan)
-    depth[placed] = staged.depth[rows]
+    depth[placed] = staged.overlaps.depth[rows]
     residual[placed] = staged.forces.residual[rows]
     shifted[placed] = staged.shifted[rows]
-    return status, depth, residual, shifted
+    selected = best(status, depth, residual, shifted, grasps, config)
+    drawn = audit(len(status), grasps, np.random.default_rng([one.seed, 2]))
+    return Outcome(status, depth, residual, shifted, selected, drawn)

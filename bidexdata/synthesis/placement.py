@@ -122,6 +122,8 @@ class Placement(NamedTuple):
     """Start postures [rad]; the shorter hand's rows end in NaN."""
     ok: Bool[np.ndarray, " M"]
     """Clear of each other and of the table; the poses of the others are their last draw."""
+    above: Bool[np.ndarray, " M"]
+    """Whether the draw that is given is clear of the table."""
 
 
 def place_palms(
@@ -163,7 +165,7 @@ def place_palms(
 
     pos, quat = np.zeros((count, 2, 3)), np.zeros((count, 2, 4))
     spheres: list[list[np.ndarray]] = [[], []]
-    ok = np.zeros(count, bool)
+    ok, above = np.zeros(count, bool), np.ones(count, bool)
     on_table, plane = scene.setting == "tabletop", table_plane(scene)
     todo = np.arange(count)
     for draw in range(config.draws):
@@ -194,12 +196,13 @@ def place_palms(
                 free &= raised.ok
             pos[todo, h], quat[todo, h] = p, frames.quat_from_matrix(R)
             spheres[h] = [balls, radius]
-        free &= hands_apart(spheres[0], spheres[1], config.clearance)
+        above[todo] = free
+        free = free & hands_apart(spheres[0], spheres[1], config.clearance)
         ok[todo[free]] = True
         todo = todo[~free]
         if not len(todo):
             break
-    return Placement(pair_index, pos, quat, _postures(hands, shapes, flat), ok)
+    return Placement(pair_index, pos, quat, _postures(hands, shapes, flat), ok, above)
 
 
 def _places(

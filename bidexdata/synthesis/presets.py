@@ -58,6 +58,11 @@ _PAPER = (
     Change("placement.shift", 0.0, "4.2: the palm at the closest point"),
     Change("placement.repeats", "region", "4.2: initial poses are sampled within the regions"),
     Change("regions.sets", 1, "4.2: N contacts are drawn once"),
+    Change(
+        "regions.sides",
+        "preferred",
+        "open in the paper; ours, as appendix B prefers a direction for each hand",
+    ),
     Change("placement.flat", 0.005, "appendix B: flat when V < 0.005"),
     Change("placement.table_fingers", "preferred", "appendix B: the direction is given per hand"),
     Change("optimise.closure.groups", "decoupled", "4.3: Q of each hand alone"),
@@ -75,6 +80,7 @@ _PAPER = (
         "optimise.energy.region_threshold", 0.01, "open in the paper; ours, an eighth of the radius"
     ),
     Change("optimise.energy.pad", 0.0, "the paper has no such term"),
+    Change("staging.extrapolate", 1.0, "4.4: 2 G - G_pre, base included; BODex moves joints alone"),
     Change("staging.force_floor", 0.0, "4.4: the squeeze is 2 G - G_pre and nothing else"),
     Change("staging.force_per_weight", 0.0, "4.4: the squeeze knows no weight"),
     Change("selection.candidates_per_grasp", 1, "the paper keeps what it makes"),
@@ -101,7 +107,6 @@ PAPER_GIVEN = (
     Kept("placement.left_direction", "appendix B: (1, -1, -1)"),
     Kept("placement.right_direction", "appendix B: (1, 1, -1)"),
     Kept("optimise.closure.qp.cap", "appendix A: normal forces up to 1"),
-    Kept("staging.extrapolate", "4.4, base included; BODex squeezes with the joints alone"),
     Kept("staging.density", "6.1: 2.5 kg/m^3"),
 )
 
@@ -122,8 +127,8 @@ PAPER_OPEN = (
         "optimise.energy.self_penetration",
         "no weight in the paper; measurements, 4, not adapted to w_QP = 1000; BODex 100",
     ),
-    Kept("optimise.energy.object_margin", "measurements, 4"),
-    Kept("optimise.energy.table_margin", "ours, twice the object margin"),
+    Kept("optimise.energy.object_margin", "measurements, 15"),
+    Kept("optimise.energy.table_margin", "ours, that of the object"),
     Kept("optimise.energy.self_margin", "BODex, activation 2 mm"),
     Kept("optimise.energy.inter_margin", "measurements, 4"),
     Kept("optimise.energy.normal_step", "measurements, 4; BODex 10 to 20 mm"),
@@ -140,7 +145,7 @@ PAPER_OPEN = (
     ),
     Kept(
         "optimise.grasp",
-        "measurements, 4, with 40 steps for 20 (ours: closer fingers); the same points, as BODex "
+        "measurements, 4, with 70 steps for 20 (ours: closer fingers); the same points, as BODex "
         "from 80 %",
     ),
     Kept("regions.force_friction", "measurements, 4"),
@@ -150,7 +155,6 @@ PAPER_OPEN = (
     Kept("regions.table_reach", "ours: the paper does not say what a table makes inaccessible"),
     Kept("regions.table_fingertip", "ours: the paper does not say what a table makes inaccessible"),
     Kept("placement.draws", "ours: draws before an attempt counts as not placeable"),
-    Kept("regions.sides", "ours: the paper does not say which hand takes which region"),
 )
 
 PAPER_IDLE = (

@@ -92,9 +92,10 @@ class RegionConfig:
     Measurements, 4."""
     kept: int = 40
     """Pairs kept. Paper 4.2, K_r."""
-    sides: Literal["preferred", "random"] = "preferred"
+    sides: Literal["preferred", "table", "random"] = "table"
     """Which hand gets which region. `preferred`: the left hand the one farther to the left (world
-    +y), so that arms in front of the robot do not cross. `random`: by lot."""
+    +y), so that arms in front of the robot do not cross. `random`: by lot. `table`: preferred on a
+    table; by lot when floating, where no arm crosses and D falls by a sixth (measurements, 15)."""
 
     def __post_init__(self) -> None:
         ranges = {
@@ -145,6 +146,20 @@ class RegionPairs(NamedTuple):
     """Best first: the force score [caps], or minus the QP residual of the torque score."""
 
 
+def no_pairs() -> RegionPairs:
+    """Give the region pairs of a method that has no regions."""
+    none, vectors = np.zeros((0, 2)), np.zeros((0, 2, 3))
+    return RegionPairs(
+        anchors=none.astype(int),
+        points=vectors[:, :, None],
+        normals=vectors[:, :, None],
+        centres=vectors,
+        mean_normals=vectors,
+        flatness=none,
+        score=none[:, 0],
+    )
+
+
 def select_region_pairs(
     obj: PreparedObject, scene: Scene, config: RegionConfig, rng: np.random.Generator
 ) -> RegionPairs:
@@ -191,7 +206,7 @@ def _assign_sides(
     rng: np.random.Generator,
 ) -> Int[np.ndarray, "R 2"]:
     """Order each pair (left, right)."""
-    if sides == "random":
+    if sides == "random" or (sides == "table" and scene.setting == "floating"):
         swap = rng.random(len(pairs)) < 0.5
     else:
         left_of = frames.quat_rotate(np.array(scene.object_quat_wxyz), anchors)[:, 1]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bidexdata import __version__
+from bidexdata.config import fingerprint
 from bidexdata.frames import quat_canonical
 from bidexdata.record import GraspBatch, Header, Scene, Status
 from bidexdata.record.batch import empty_columns
@@ -16,7 +16,8 @@ from bidexdata.synthesis.attempts import Attempts, grasp_ids
 
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
-    from bidexdata.synthesis.pipeline import Staged
+    from bidexdata.synthesis.methods import MethodConfig
+    from bidexdata.synthesis.pipeline import Outcome, Staged
 
 
 def scene_rows(
@@ -24,14 +25,11 @@ def scene_rows(
     attempts: Attempts,
     staged: Staged,
     rows: np.ndarray,
+    found: Outcome,
+    config: MethodConfig,
     *,
-    status: np.ndarray,
-    selected: np.ndarray,
-    audit: np.ndarray,
-    steps: int,
     first_attempt: int,
     run_fingerprint: str,
-    fingerprints: Mapping[str, str],
 ) -> GraspBatch:
     """Write the selected and audited attempts of a scene, ordered by attempt.
 
@@ -40,17 +38,15 @@ def scene_rows(
         attempts: The scene's M attempts.
         staged: Finished grasps of all scenes.
         rows: Which of those are this scene's, in the order of its attempts with a start.
-        status: Of each attempt, (M,).
-        selected: One of the best, (M,).
-        audit: One of those drawn beforehand, (M,).
-        steps: Optimiser steps taken.
+        found: What became of each attempt.
+        config: Gives the number of optimiser steps and the header's fingerprint.
         first_attempt: Number of the first attempt.
         run_fingerprint: Names the run in the ids.
-        fingerprints: For the header.
     """
+    status, selected, audit = found.status, found.selected, found.audit
     header = Header(
         hands=tuple(h.header() for h in hands),
-        fingerprints=dict(fingerprints),
+        fingerprints={"synth": fingerprint(config)},
         version=__version__,
         counts={attempts.scene.scene_id: _count(status)},
     )
@@ -67,7 +63,7 @@ def scene_rows(
     at = np.flatnonzero(status[kept] == Status.OK)
     _pose(made, attempts.scene, staged, at, place[kept[at]])
     _figures(made, staged, at, place[kept[at]], header)
-    made["steps"][at] = steps
+    made["steps"][at] = config.steps
     return GraspBatch(header, made)
 
 

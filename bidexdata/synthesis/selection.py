@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int8
+from jaxtyping import Bool, Float, Int, Int8
 
 from bidexdata.record import Status
 from bidexdata.synthesis.optimise_config import refuse_outside
@@ -88,20 +88,43 @@ def judge(
         among_hands: The same within and between hands [m].
         table: The same of hands and table, at the worst of the three stages [m]; 0 without one.
     """
-    with np.errstate(invalid="ignore"):
-        touching = np.sum(np.abs(gaps) <= config.contact_tolerance, axis=2)
-        needed = np.minimum(config.contacts_needed, np.sum(np.isfinite(gaps), axis=2))
-        lost = np.any(touching < needed, axis=1)
-        deep = depth > config.start_depth
-        crossed = among_hands > config.hands_depth
-        sunk = table > config.table_depth
+    found = failures(finite, gaps, depth, config, among_hands=among_hands, table=table)
     status = np.full(len(finite), Status.OK, np.int8)
-    status[lost] = Status.CONTACT_LOST
-    status[sunk] = Status.TABLE_PENETRATION
-    status[crossed] = Status.SELF_PENETRATION_LEFT
-    status[deep] = Status.PENETRATION_LEFT
-    status[~finite] = Status.NOT_FINITE
+    for reason in reversed(found):  # the first reason is written last, and stays
+        status[found[reason]] = reason
     return status
+
+
+def failures(
+    finite: Bool[np.ndarray, " K"],
+    gaps: Float[np.ndarray, "K 2 C"],
+    depth: Float[np.ndarray, " K"],
+    config: SelectionConfig,
+    *,
+    among_hands: Float[np.ndarray, " K"],
+    table: Float[np.ndarray, " K"],
+) -> dict[Status, Bool[np.ndarray, " K"]]:
+    """Tell for every reason which optimised attempts fail by it; arguments are those of `judge`.
+
+    Returns:
+        Reasons in their order: the first that holds is an attempt's status. One may fail by several.
+    """
+    # A hand of fewer pads than are needed must have them all on the surface.
+    needed = np.minimum(config.contacts_needed, np.sum(np.isfinite(gaps), axis=2))
+    with np.errstate(invalid="ignore"):
+        return {
+            Status.NOT_FINITE: ~finite,
+            Status.PENETRATION_LEFT: depth > config.start_depth,
+            Status.SELF_PENETRATION_LEFT: among_hands > config.hands_depth,
+            Status.TABLE_PENETRATION: table > config.table_depth,
+            Status.CONTACT_LOST: np.any(touching(gaps, config) < needed, axis=1),
+        }
+
+
+def touching(gaps: Float[np.ndarray, "K 2 C"], config: SelectionConfig) -> Int[np.ndarray, "K 2"]:
+    """Number of each hand's pads that are near enough to the surface to count as contacts."""
+    with np.errstate(invalid="ignore"):
+        return np.sum(np.abs(gaps) <= config.contact_tolerance, axis=2)
 
 
 def best(
@@ -127,13 +150,23 @@ def best(
     Source:
         docs/measurements.md, 6 (89 -> 99.7 % for the best 8 of 32) and 14.
     """
+    chosen = np.zeros(len(status), bool)
+    chosen[selection_order(status, depth, residual, shifted, config)[:count]] = True
+    return chosen
+
+
+def selection_order(
+    status: Int8[np.ndarray, " M"],
+    depth: Float[np.ndarray, " M"],
+    residual: Float[np.ndarray, " M"],
+    shifted: Float[np.ndarray, " M"],
+    config: SelectionConfig,
+) -> Int[np.ndarray, " U"]:
+    """Number the attempts that may be kept, best first; arguments are those of `best`."""
     able = (status == Status.OK) & (residual <= config.largest_residual)
     # The attempt's number breaks ties, so that the order is always the same.
     order = np.lexsort((np.arange(len(status)), shifted, depth > config.clear_depth))
-    kept = [i for i in order if able[i]][:count]
-    chosen = np.zeros(len(status), bool)
-    chosen[kept] = True
-    return chosen
+    return order[able[order]]
 
 
 def audit(attempts: int, count: int, rng: np.random.Generator) -> Bool[np.ndarray, " M"]:

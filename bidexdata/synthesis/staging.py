@@ -29,11 +29,13 @@ class StagingConfig:
     "Measurements, n" is docs/measurements.md, section n.
     """
 
-    extrapolate: float = 1.0
-    """Squeeze = grasp + extrapolate (grasp - pregrasp) [-]. Paper 4.4: 2 G - G_pre, so 1."""
-    force_floor: float = 3.0
+    extrapolate: float = 0.5
+    """Squeeze = grasp + extrapolate (grasp - pregrasp) [-]. It presses with whatever force the
+    fingers' stiffness gives, the joint torques with balanced ones. Measurements, 15; paper 4.4:
+    2 G - G_pre, so 1."""
+    force_floor: float = 15.0
     """Sum of a hand's normal forces whose joint torques the squeeze adds, at least [N]; 0 with a
-    zero `force_per_weight` leaves the joint torques out (the paper). Measurements, 5."""
+    zero `force_per_weight` leaves the joint torques out (the paper). Measurements, 15."""
     force_per_weight: float = 8.0
     """The same per newton of the object's weight [-]. Measurements, 5: at 0.8 m 65 -> 84 %."""
     stiffness: float = 5.0

@@ -49,7 +49,7 @@ def force_closure(
 
     def loaded(multiple: float, watch: Watch | None = None) -> tuple[int, Phase]:
         # What the probe said holds for the protocol's own load; others end by the strictest rule.
-        how = grip if multiple <= 1.0 else Grip.LOOSE
+        how = grip if multiple == 1.0 else Grip.LOOSE
         return _all_directions(
             scene, protocol, grasp, closed, wanted, execution, how, multiple, watch
         )

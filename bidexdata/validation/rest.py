@@ -41,13 +41,15 @@ class Slow:
     """... keeps the object within this share of both limits [-]."""
     at_most: float | None = None
     """No longer than this counts as time that is left [s]."""
+    after: float = 0.0
+    """Not before the load has lasted this long [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RestRules:
     """Numbers of the probe and of the rules."""
 
-    start: float = 0.06
+    start: float = 0.04
     """Time under the load at which it may first end [s]."""
     every: float = 0.02
     """Time between two looks [s]."""
@@ -75,6 +77,7 @@ class RestRules:
     """A loose grasp moves more than this in both probes [m]."""
 
     firm: tuple[Slow, ...] = (
+        Slow(speed=0.04, turn=0.2, times=1.0, share=0.6, at_most=0.4),
         Slow(speed=0.012, turn=0.06, times=1.0, share=0.6, at_most=0.5),
         Slow(speed=0.0007, turn=0.005, times=2.0, share=0.9),
     )
@@ -83,7 +86,7 @@ class RestRules:
     """... on one that settles."""
     fair: tuple[Slow, ...] = (Slow(speed=0.0015, turn=0.01, times=2.0, share=0.8),)
     """... on any other that is not loose."""
-    loose: tuple[Slow, ...] = (Slow(speed=0.0005, turn=0.004, times=2.0, share=0.7),)
+    loose: tuple[Slow, ...] = (Slow(speed=0.0005, turn=0.004, times=2.0, share=0.7, after=1.0),)
     """... on a loose one."""
 
     def of(self, grip: Grip) -> tuple[Slow, ...]:
@@ -157,6 +160,7 @@ def rests(
     *,
     moved: float,
     turned: float,
+    lasted: float,
     left: float,
 ) -> bool:
     """Whether the load may end here.
@@ -168,13 +172,15 @@ def rests(
         grip: What the probe said.
         moved: Displacement at present [m].
         turned: Rotation at present [rad].
+        lasted: Time since its start [s].
         left: Time until the end of the load [s].
     """
     linear, angular = object_speed(scene)
     for slow in rules.of(grip):
         ahead = slow.times * (left if slow.at_most is None else min(left, slow.at_most))
         if (
-            linear < slow.speed
+            lasted >= slow.after
+            and linear < slow.speed
             and angular < slow.turn
             and moved + ahead * linear < slow.share * protocol.limit_pos
             and turned + ahead * angular < slow.share * protocol.limit_rot

@@ -222,8 +222,10 @@ def hold(
             if status is not Status.OK:
                 return Phase(status, float(largest[0]), float(largest[1]), step * timestep)
         if may_stop:
-            left = checks * protocol.check_every - step * timestep
-            if rests(scene, protocol, rules, grip, moved=moved, turned=turned, left=left):
+            lasted = step * timestep
+            left = checks * protocol.check_every - lasted
+            times = {"lasted": lasted, "left": left}
+            if rests(scene, protocol, rules, grip, moved=moved, turned=turned, **times):
                 largest = [np.fmax(largest[0], moved), np.fmax(largest[1], turned)]
                 return Phase(Status.OK, float(largest[0]), float(largest[1]), step * timestep)
     return Phase(Status.OK, float(largest[0]), float(largest[1]), checks * protocol.check_every)

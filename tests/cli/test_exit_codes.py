@@ -36,8 +36,13 @@ WRITTEN = [
     (["synth", "{tmp}/library"], "--out"),
     (["info"], "PATH"),
     # an option twice: the first would be forgotten
-    ([*SYNTH, "--sizes", "0.3", "--sizes", "0.5"], "--sizes is given twice"),
+    (
+        [*SYNTH, "--sizes", "0.3", "--sizes", "0.5"],
+        "--sizes is given twice; see bidexdata synth --help",
+    ),
     ([*PACK, "--version=2.0.0"], "--version is given twice"),
+    # settings beside the grasp that repeats those of its run
+    ([*SYNTH, "--explain", "00", "--seed", "3"], "leave out --hand"),
     # text where a number belongs
     ([*SYNTH, "--grasps", "many"], "--grasps"),
     ([*SYNTH, "--seed", "1.5"], "--seed"),

@@ -83,6 +83,39 @@ def test_rates_and_kept_share_by_hand():
     assert (figures["objects"], figures["scenes"]) == (1, 2)
 
 
+def test_attempts_and_energies_are_told_per_size_and_stage():
+    rows = [
+        (A, True, False, Status.OK),
+        (A, True, False, Status.OK),
+        (A, False, True, Status.OK),
+        (B, True, False, Status.OK),
+        (B, False, True, Status.CONTACT_LOST),
+    ]
+    counts = {A: {"ok": 5, "no_placement": 3}, B: {"ok": 1, "contact_lost": 2, "not_finite": 4}}
+    energy = np.array([1.0, 2.0, 99.0, 5.0, np.nan], np.float32)
+    told = batch(rows, counts).with_columns(energy_qp=energy)
+    tally = Tally()
+    tally.add(told, run="r", grasps=2)
+    figures = tally.figures()
+    nothing = {"regions": 0, "placement": 0, "optimisation": 0, "checks": 0, "ok": 0}
+    assert figures["by_stage"] == {
+        **nothing,
+        "placement": 3,
+        "optimisation": 4,
+        "checks": 2,
+        "ok": 6,
+    }
+    small, large = figures["by_size"]["300"], figures["by_size"]["500"]
+    assert small["by_status"] == {"no_placement": 3, "ok": 5}
+    assert small["by_stage"] == {**nothing, "placement": 3, "ok": 5}
+    assert large["by_stage"] == {**nothing, "optimisation": 4, "checks": 2, "ok": 1}
+    # Selected rows alone: 1 and 2 of the small, 5 of the large.
+    assert small["energies"]["energy_qp"] == 1.5
+    assert large["energies"]["energy_qp"] == 5
+    assert figures["energies"]["energy_qp"] == pytest.approx(8 / 3)
+    assert figures["energies"]["energy_pad"] is None
+
+
 def test_a_scene_without_rows_counts_n_failures():
     tally = Tally()
     counts = {A: {"ok": 1}, B: {"no_region_pair": 8}}

@@ -36,10 +36,10 @@ def test_contact_spheres_come_first_among_the_collision_spheres(hand):
 
 
 def test_spheres_follow_the_collision_geometry(hand):
-    """Measured (capsule, shadow): fingers within 4.4 and 7.4 mm, palm within 12.0 and 12.5 mm.
+    """Measured (capsule, shadow): fingers within 7.0 and 7.5 mm, palm within 9.9 and 12.5 mm.
 
-    The largest gaps are corners of boxes, the largest protrusions the thin back plate (2.7 and
-    3.2 mm). Area-weighted mean gap: fingers 0.8 and 0.9 mm, palm 2.6 and 2.6 mm.
+    The largest gaps are corners of boxes, the largest protrusions the thin back plate (2.5 and
+    3.2 mm). Area-weighted mean gap: fingers 0.5 and 0.7 mm, palm 2.6 and 2.4 mm.
     """
     protrusion, gaps, areas = np.zeros(len(hand.sphere_body)), [], []
     for body, shapes in enumerate(body_shapes(hand.make_spec().compile())):
@@ -55,9 +55,9 @@ def test_spheres_follow_the_collision_geometry(hand):
     gap, area = np.maximum(np.concatenate(gaps), 0.0), np.concatenate(areas)
     assert protrusion.max() < 3.5 * MM
     assert gap.max() < 14 * MM
-    assert gap @ area / area.sum() < 2 * MM
-    assert area[gap < 5 * MM].sum() / area.sum() > 0.88
-    assert 50 <= len(hand.sphere_body) <= 70
+    assert gap @ area / area.sum() < 1.6 * MM
+    assert area[gap < 5 * MM].sum() / area.sum() > 0.92
+    assert 60 <= len(hand.sphere_body) <= 90
     assert hand.sphere_radius.min() >= 6 * MM
     assert hand.sphere_radius.max() <= 13.5 * MM
 
@@ -65,7 +65,7 @@ def test_spheres_follow_the_collision_geometry(hand):
 def test_self_pairs_are_free_at_rest_and_may_collide(hand, rng):
     model = hand.make_spec().compile()
     a, b = hand.self_pairs.T
-    assert 200 < len(a) < 400
+    assert 400 < len(a) < 700
     assert np.all(a < b)
     standing = np.stack([0 * hand.posture_open, hand.posture_open, hand.posture_curved])
     centre = hand_points(hand, standing).sphere

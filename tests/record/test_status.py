@@ -2,6 +2,7 @@ import numpy as np
 
 from bidexdata.record import Status
 from bidexdata.record.fields import FIELDS
+from bidexdata.record.status import SYNTH_STAGES, by_synth_stage
 
 
 def test_every_status_has_a_sentence_and_fits_its_column():
@@ -25,3 +26,12 @@ def test_numbers_lie_in_their_stage_block_and_are_unique():
 def test_the_two_status_columns_are_separate():
     assert FIELDS["synth_status"].written_by == "synth"
     assert FIELDS["verdict_status"].written_by == "validate"
+
+
+def test_every_status_of_an_attempt_belongs_to_one_stage_of_the_synthesis():
+    of_attempts = [s for s in Status if s == Status.OK or 20 <= s < 50]
+    assert sorted(s for stage in SYNTH_STAGES.values() for s in stage) == sorted(of_attempts)
+    counts = {s.label: 2**k for k, s in enumerate(of_attempts)}
+    stages = by_synth_stage(counts)
+    assert list(stages) == list(SYNTH_STAGES)
+    assert sum(stages.values()) == sum(counts.values())

@@ -131,14 +131,30 @@ def test_kept_pairs_keep_the_rules(size_mm, score):
     gap = np.array([np.linalg.norm(p[0][:, None] - p[1][None], axis=-1).min() for p in r.points])
     apart = np.linalg.norm(r.centres[:, 0] - r.centres[:, 1], axis=1)
     assert np.all((gap >= config.gap - FLOAT32) | (apart >= config.wide * longest))
-    # Left is the hand farther along world +y.
-    assert np.all(r.centres[:, 0, 1] >= r.centres[:, 1, 1])
     # No two pairs alike, whichever way round.
     a, b = r.centres[:, 0], r.centres[:, 1]
     far = lambda u, v: np.linalg.norm(u[:, None] - v[None], axis=-1)  # noqa: E731
     same = np.maximum(far(a, a), far(b, b)) + np.eye(len(a)) * 9
     crossed = np.maximum(far(a, b), far(b, a)) + np.eye(len(a)) * 9
     assert min(same.min(), crossed.min()) > config.diversity * longest
+
+
+@pytest.mark.parametrize(
+    ("sides", "setting", "ordered"),
+    [
+        ("preferred", "floating", True),
+        ("table", "tabletop", True),
+        ("table", "floating", False),
+        ("random", "tabletop", False),
+    ],
+)
+def test_the_left_hand_is_farther_to_the_left_where_that_is_wanted(sides, setting, ordered):
+    """Left is the hand farther along world +y; by lot, half of the pairs are."""
+    where = scene(400, setting=setting, rest_pose=0 if setting == "tabletop" else -1)
+    r = select_region_pairs(BOX, where, RegionConfig(sides=sides), np.random.default_rng(0))
+    left = r.centres[:, 0, 1] >= r.centres[:, 1, 1]
+    assert np.all(left) == ordered
+    assert ordered or 0.2 < np.mean(left) < 0.8
 
 
 def test_the_best_pair_of_each_ranking_is_first():

@@ -69,20 +69,23 @@ def test_a_load_ends_only_for_objects_that_are_slow_and_near(hands, grip):
     scene = closed(hands)
     at = scene.object_qvel
 
-    def ends(speed=0.0, turn=0.0, moved=0.001, turned=0.01, left=2.0):
+    def ends(speed=0.0, turn=0.0, moved=0.001, turned=0.01, lasted=1.0):
         scene.data.qvel[at : at + 6] = (speed, 0, 0, turn, 0, 0)
-        return rests(scene, PAPER, RULES, grip, moved=moved, turned=turned, left=left)
+        where = {"moved": moved, "turned": turned}
+        return rests(scene, PAPER, RULES, grip, **where, lasted=lasted, left=3.0 - lasted)
 
     assert ends()
     assert ends(speed=0.001) is (grip is not Grip.LOOSE)
     assert ends(speed=0.002) is (grip in {Grip.FIRM, Grip.SETTLED})
     assert ends(speed=0.005) is (grip is Grip.FIRM)
-    assert not ends(speed=0.02)
-    assert not ends(turn=0.1)
+    assert ends(speed=0.02, turn=0.1) is (grip is Grip.FIRM)
+    assert not ends(speed=0.05)
+    assert not ends(turn=0.25)
+    assert ends(lasted=0.5) is (grip is not Grip.LOOSE)
     assert not ends(moved=0.95 * PAPER.limit_pos)
     assert not ends(turned=0.95 * PAPER.limit_rot)
     # What ends with much time left ends with less of it too.
-    assert all(ends(left=t) for t in (1.0, 0.1))
+    assert all(ends(lasted=t) for t in (2.0, 2.9))
 
 
 def test_without_stops_the_probe_is_not_run(hands, monkeypatch):
