@@ -18,9 +18,10 @@ os.environ.setdefault("TYPER_USE_RICH", "0")
 import typer
 
 from bidexdata.cli.demo import demo
+from bidexdata.cli.hands import hands
 from bidexdata.cli.import_ import import_
 from bidexdata.cli.info import info
-from bidexdata.cli.names import hands, presets, protocols
+from bidexdata.cli.names import presets, protocols
 from bidexdata.cli.pack import pack
 from bidexdata.cli.prepare import prepare
 from bidexdata.cli.render import render
@@ -66,8 +67,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for _name, _function in COMMANDS.items():
-    app.command(_name)(_function)
+for _name, _command in COMMANDS.items():
+    if isinstance(_command, typer.Typer):
+        app.add_typer(_command, name=_name)
+    else:
+        app.command(_name)(_command)
 
 
 def _show_version(wanted: bool) -> bool:

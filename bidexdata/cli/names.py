@@ -1,4 +1,4 @@
-"""`bidexdata hands`, `protocols`, `presets`: what there is, one line each."""
+"""`bidexdata protocols`, `presets`: what there is, one line each."""
 
 from __future__ import annotations
 
@@ -15,25 +15,6 @@ if TYPE_CHECKING:
 
 PREPARE = "prepare"
 """Stands for the configuration of `bidexdata prepare` where a preset is named."""
-
-
-def hands(
-    as_json: options.Json = False, quiet: options.Quiet = False, debug: options.Debug = False
-) -> None:
-    """List the hands that come with the package.
-
-    --json keys: hands (a list of name, description, licence).
-    """
-    from bidexdata.hands import hand_names
-    from bidexdata.hands.registry import hand_spec
-
-    specs = {name: hand_spec(name) for name in hand_names()}
-    found = [
-        {"name": name, "description": s.description, "licence": s.licence}
-        for name, s in specs.items()
-    ]
-    lines = table([[f["name"], f["licence"], f["description"]] for f in found])
-    finish({"hands": found}, lines, as_json=as_json, quiet=quiet)
 
 
 def protocols(

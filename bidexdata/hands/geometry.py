@@ -16,6 +16,9 @@ from bidexdata.hands.model import FloatArray
 if TYPE_CHECKING:
     import mujoco
 
+_HIDDEN_GROUPS = 3
+"""First geom group that MuJoCo's viewer hides unless asked; Menagerie keeps collision geoms there."""
+
 
 class Planes(NamedTuple):
     """A convex hull as half spaces normals @ p <= offsets."""
@@ -51,11 +54,15 @@ def body_shapes(model: mujoco.MjModel, *, visual: bool = False) -> list[list[Sha
 
     Args:
         model: Compiled hand.
-        visual: Those to draw (geoms that collide with nothing) instead of those that collide;
-            a model without any visual geom is drawn by its collision geoms.
+        visual: Those to draw instead of those that collide: geoms that collide with nothing, and
+            meshes that collide in a group that MuJoCo's viewer shows (a pad that is its own
+            picture). A model without any visual geom is drawn by its collision geoms.
     """
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    wanted = ~collides if visual and not collides.all() else collides
+    wanted = collides
+    if visual and not collides.all():
+        is_mesh = model.geom_dataid >= 0
+        wanted = ~collides | (is_mesh & (model.geom_group < _HIDDEN_GROUPS))
     shapes: list[list[Shape]] = [[] for _ in range(model.nbody - 1)]
     for geom in np.flatnonzero(wanted & (model.geom_bodyid > 0)):
         shapes[model.geom_bodyid[geom] - 1].append(_shape(model, int(geom), hull=not visual))

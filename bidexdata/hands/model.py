@@ -101,6 +101,8 @@ class Hand:
     make_spec: Callable[[], mujoco.MjSpec] = field(repr=False)
     """Give a fresh `mujoco.MjSpec` of the hand: its root body hangs under the world body without a
     joint, and names carry no side prefix beyond those in `body_names` and `joint_names`."""
+    prefix: str = ""
+    """What this side's names carry before those of the spec, such as `rh_`."""
     licence_text: str = field(default="", repr=False)
     """The licence as it stands beside the source; empty where the source has no such file. What is
     derived from the source must carry it."""
@@ -109,6 +111,11 @@ class Hand:
     def root_body(self) -> str:
         """Name of the body whose pose the record stores."""
         return self.body_names[0]
+
+    @property
+    def plain_body_names(self) -> tuple[str, ...]:
+        """Names of the bodies as the spec has them, without the side's prefix, (B,)."""
+        return tuple(name.removeprefix(self.prefix) for name in self.body_names)
 
     def header(self) -> HandHeader:
         """What files carry of this hand."""

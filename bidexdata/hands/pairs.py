@@ -29,7 +29,8 @@ def self_pairs(hand: Hand, model: mujoco.MjModel) -> IntArray:
     a, b = np.triu_indices(len(hand.sphere_body), k=1)
     allowed = _may_collide(hand, model)[hand.sphere_body[a], hand.sphere_body[b]]
     a, b = a[allowed], b[allowed]
-    standing = np.stack([0 * hand.posture_open, hand.posture_open, hand.posture_curved])
+    rest = np.clip(0.0, hand.joint_lower, hand.joint_upper)
+    standing = np.stack([rest, hand.posture_open, hand.posture_curved])
     apart = _gap(hand, standing, a, b).min(axis=0) > 0
     a, b = a[apart], b[apart]
     near = np.full(len(a), np.inf)

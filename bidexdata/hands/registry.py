@@ -29,7 +29,7 @@ def hand_spec(name: str | Path) -> HandSpec:
         UnknownName: No hand has this name and no file this path.
         BadConfig: The spec is not usable.
     """
-    return read_spec(_spec_path(str(name)))
+    return read_spec(spec_path(str(name)))
 
 
 def load_hands(name: str) -> tuple[Hand, Hand]:
@@ -57,11 +57,16 @@ def load_hand(name: str | Path, side: Side) -> Hand:
     """
     if side not in ("left", "right"):
         raise BadConfig(f"a hand's side is left or right, not {side!r}")
-    path = _spec_path(str(name))
+    path = spec_path(str(name))
     return _load(path, side, path.stat().st_mtime_ns)
 
 
-def _spec_path(name: str) -> Path:
+def spec_path(name: str) -> Path:
+    """Find the YAML file of a named hand, or of a path.
+
+    Raises:
+        UnknownName: No hand has this name and no file this path.
+    """
     if name in hand_names():
         return _SPECS / f"{name}.yaml"
     path = Path(name)

@@ -68,6 +68,9 @@ def load_model(spec: HandSpec, side: Side, folder: Path) -> HandMjcf:
         path = folder / side_spec.source
         source, assets, digest = _from_file(path)
     hand = _cut_at_root(source, side_spec.prefix + spec.root)
+    if spec.joint_armature is not None:
+        for joint in hand.joints:
+            joint.armature = spec.joint_armature
     for a, b in spec.exclude_contacts:
         _exclude(hand, side_spec.prefix + a, side_spec.prefix + b)
     hand.assets = assets
@@ -146,7 +149,7 @@ def _cut_at_root(source: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
     hand.modelname = source.modelname
     hand.copy_during_attach = True
     # Attached values lose against the parent's, so the parent takes them over first.
-    hand.option.cone, hand.option.impratio = source.option.cone, source.option.impratio
+    hand.option = source.option
     hand.compiler.degree, hand.compiler.autolimits = False, source.compiler.autolimits
     hand.worldbody.add_frame().attach_body(body, _MARK, "")
     hand.meshdir = source.meshdir

@@ -3,7 +3,7 @@
 A spec names one model per side and adds what MJCF lacks: root body, contact points, palm frame,
 postures, coupling, fingers and the settings of the sphere fit. Body and joint names stand without
 the side's prefix. Geometry is written for the side `written_for`; the other side's is its mirror
-image (x -> -x of the hand frame).
+image (mirror.py).
 """
 
 from __future__ import annotations
@@ -20,16 +20,6 @@ from bidexdata.errors import BadConfig
 from bidexdata.hands.model import Side
 
 Vector = tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SideSpec:
-    """Where the model of one side comes from."""
-
-    source: str
-    """`menagerie:ROBOT/ENTRY`, `builtin:FILE` (beside the spec) or the path of an MJCF file."""
-    prefix: str = ""
-    """What this side's names carry before the names of the spec."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,6 +59,19 @@ class PalmFrameSpec:
             raise BadConfig("palm_frame: x and z must be unit vectors")
         if abs(np.dot(self.x, self.z)) > 1e-6:
             raise BadConfig("palm_frame: x and z must be perpendicular")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SideSpec:
+    """Where the model of one side comes from."""
+
+    source: str
+    """`menagerie:ROBOT/ENTRY`, `builtin:FILE` (beside the spec) or the path of an MJCF file."""
+    prefix: str = ""
+    """What this side's names carry before the names of the spec."""
+    palm_frame: PalmFrameSpec | None = field(default=None, metadata={"omit_none": True})
+    """The palm frame of the side that the spec is not written for, where the two hand frames are
+    no mirror images of each other; the mirror image is then taken from palm frame to palm frame."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,10 +135,21 @@ class HandSpec:
     exclude_contacts: tuple[tuple[str, str], ...] = ()
     """Pairs of bodies that never collide, besides those of the source."""
     spheres: SphereFitSpec = field(default_factory=SphereFitSpec)
+    mirror: Literal["x", "y", "z"] | None = field(default=None, metadata={"omit_none": True})
+    """Axis of the hand frame that the other side's mirror image turns round: x where it is omitted.
+    Without effect where that side gives its own palm frame."""
+    joint_armature: float | None = field(default=None, metadata={"omit_none": True})
+    """Inertia that every joint gets, in place of the model's [kg m^2]: that of the motor's rotor,
+    times the gear ratio squared. Without it fingers are so light that contacts throw light objects."""
 
     def __post_init__(self):
         if not self.sides or not set(self.sides) <= {"left", "right"}:
             raise BadConfig(f"hand {self.name}: sides must be left, right or both")
+        if self.joint_armature is not None and not 0 < self.joint_armature < 1:
+            raise BadConfig(
+                f"hand {self.name}: joint_armature must lie in (0, 1) kg m^2, not "
+                f"{self.joint_armature}"
+            )
         if self.written_for not in self.sides:
             raise BadConfig(f"hand {self.name}: written_for names a side that sides lacks")
         for contact in self.contacts:
@@ -144,6 +158,15 @@ class HandSpec:
                     f"hand {self.name}: contact {contact.name} names finger {contact.finger!r}; "
                     f"fingers are {', '.join(self.fingers)}"
                 )
+        if self.sides[self.written_for].palm_frame is not None:
+            raise BadConfig(
+                f"hand {self.name}: the {self.written_for} side's palm frame is the spec's own; only "
+                "the other side may give one under `sides`"
+            )
+        if not self.contacts:
+            raise BadConfig(
+                f"hand {self.name}: contacts is empty; a hand touches with at least one"
+            )
         names = [contact.name for contact in self.contacts]
         if len(set(names)) != len(names):
             raise BadConfig(f"hand {self.name}: two contacts have the same name")
@@ -161,9 +184,8 @@ class HandSpec:
         return self.sides[side]
 
     def content_hash(self) -> str:
-        """sha256 over what the spec says; comments and layout do not count."""
-        plain = {f.name: getattr(self, f.name) for f in fields(self)}
-        return fingerprint(plain, length=64)
+        """sha256 over what the spec says; comments, layout and omitted keys do not count."""
+        return fingerprint(self, length=64)
 
 
 def read_spec(path: str | Path) -> HandSpec:
@@ -176,7 +198,8 @@ def read_spec(path: str | Path) -> HandSpec:
     """
     data = load_yaml(path)
     where = f"hand spec {Path(path).name}"
-    missing = {f.name for f in fields(HandSpec)} - set(data) - {"exclude_contacts", "spheres"}
+    optional = {"exclude_contacts", "spheres", "mirror", "joint_armature"}
+    missing = {f.name for f in fields(HandSpec)} - set(data) - optional
     if missing:
         raise BadConfig(f"{where} lacks {', '.join(sorted(missing))}")
     return from_plain(HandSpec, data, f"{where}:")

@@ -74,7 +74,7 @@ def _add_hand(spec: mujoco.MjSpec, hand: Hand, index: int, settings: SceneSettin
 
     child = hand.make_spec()
     # Options of the scene are set on the compiled model: equal ones here keep `attach` quiet.
-    child.option.cone, child.option.impratio = spec.option.cone, spec.option.impratio
+    child.option = spec.option
     _drop_pictures(child)
     for body in child.bodies:
         body.gravcomp = settings.hand_gravity_compensation
@@ -88,11 +88,10 @@ def _add_hand(spec: mujoco.MjSpec, hand: Hand, index: int, settings: SceneSettin
         _weld(spec, root, hand, index, settings)
     else:
         _slide(spec, root, index, settings)
-    names = set(hand.body_names)
+    names = dict(zip(hand.plain_body_names, hand.body_names, strict=True))
     for first, second in settings.excluded_bodies:
-        pair = [next((n for n in names if _is_called(n, wanted)), "") for wanted in (first, second)]
-        if all(pair):
-            spec.add_exclude(bodyname1=prefix + pair[0], bodyname2=prefix + pair[1])
+        if first in names and second in names:
+            spec.add_exclude(bodyname1=prefix + names[first], bodyname2=prefix + names[second])
 
 
 def _weld(
@@ -157,10 +156,6 @@ def _actuate_every_joint(child: mujoco.MjSpec, hand: Hand) -> None:
         servo.set_to_position(kp=float(gains[mine[0]]) if len(mine) else 1.0)
         if len(mine) and model.actuator_forcelimited[mine[0]]:
             servo.forcelimited, servo.forcerange = 1, limits[mine[0]]
-
-
-def _is_called(body: str, wanted: str) -> bool:
-    return body == wanted or body.endswith("_" + wanted)
 
 
 def _drop_pictures(child: mujoco.MjSpec) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -81,7 +81,10 @@ def draw_attempts(
         grown: Earlier rounds have made attempts of this scene; they may have had the same pairs.
     """
     own = scene_seed(seed, scene.scene_id)
-    pairs = select_region_pairs(obj, scene, config.regions, np.random.default_rng([own, 0]))
+    # A region is judged by as many contacts as the hand that comes to it can make.
+    fewest = min(len(hand.contact_names) for hand in hands)
+    regions = replace(config.regions, contacts=min(config.regions.contacts, fewest))
+    pairs = select_region_pairs(obj, scene, regions, np.random.default_rng([own, 0]))
     if len(pairs.score) == 0:
         return _without_start(hands, scene, own, count, pairs)
     rng = np.random.default_rng([own, 1])
@@ -89,13 +92,13 @@ def draw_attempts(
     ok, pair = placed.ok, placed.pair_index
     joints = [placed.joints[ok, h, : len(hand.joint_names)] for h, hand in enumerate(hands)]
     nearest_of = config.optimise.energy.region_distance
-    regions = pairs.points if nearest_of == "points" else pairs.centres[:, :, None]
+    targets = pairs.points if nearest_of == "points" else pairs.centres[:, :, None]
     start = Start(
         size=np.full(ok.sum(), scene.size),
         position=placed.hand_pos[ok],
         rotation=matrix_from_quat(placed.hand_quat[ok]),
         joints=(joints[0], joints[1]),
-        regions=regions[pair[ok]],
+        regions=targets[pair[ok]],
         plane=np.tile(table_plane(scene), (ok.sum(), 1)),
     )
     return Attempts(

@@ -2,7 +2,7 @@
 
 Everything is metric, in the object frame. Anchors are the object's first farthest-point samples; a
 region is what a hand can reach around its anchor. Pairs that are far enough apart and accessible
-are scored by what ten contacts on them could resist.
+are scored by what the contacts of two hands on them could resist.
 
 Source: BiDexGrasp 4.2 and appendix B. The torque score is ours: positions do not enter the paper's
 score, so it cannot tell facing regions from shifted ones.
@@ -43,7 +43,8 @@ class RegionConfig:
     """Points per region, at most as many different ones as the object has within the radius.
     Paper 4.2, k."""
     contacts: int = 5
-    """Contacts drawn per region for the score. Paper 4.2, N."""
+    """Contacts drawn per region for the score; fewer where a hand has fewer contact points.
+    Paper 4.2, N."""
     same_side: float = -0.2
     """Points whose normal has a smaller cosine with the anchor's normal belong to the other sheet
     of a thin wall and are left out [-]; below -1 none are. Measurements, 2."""

@@ -48,8 +48,8 @@ class SelectionConfig:
     """A pad farther from the surface at the grasp is a lost contact [m]. Ours: the squeeze moves
     pads by about 10 mm, so what is farther stays off."""
     contacts_needed: int = 3
-    """Contacts per hand within the tolerance [-], fewer is a failed attempt. Ours: two forces
-    cannot hold a hand's share of an object against turning."""
+    """Contacts per hand within the tolerance [-], fewer is a failed attempt; all of them where a
+    hand has fewer. Ours: two forces cannot hold a hand's share of an object against turning."""
 
     def __post_init__(self) -> None:
         refuse_outside(self, "candidates_per_grasp", 1, 1000)
@@ -109,13 +109,15 @@ def failures(
     Returns:
         Reasons in their order: the first that holds is an attempt's status. One may fail by several.
     """
+    # A hand of fewer pads than are needed must have them all on the surface.
+    needed = np.minimum(config.contacts_needed, np.sum(np.isfinite(gaps), axis=2))
     with np.errstate(invalid="ignore"):
         return {
             Status.NOT_FINITE: ~finite,
             Status.PENETRATION_LEFT: depth > config.start_depth,
             Status.SELF_PENETRATION_LEFT: among_hands > config.hands_depth,
             Status.TABLE_PENETRATION: table > config.table_depth,
-            Status.CONTACT_LOST: np.min(touching(gaps, config), axis=1) < config.contacts_needed,
+            Status.CONTACT_LOST: np.any(touching(gaps, config) < needed, axis=1),
         }
 
 

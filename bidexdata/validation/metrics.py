@@ -95,20 +95,18 @@ def _touching(distances: Distances, rules: MetricRules) -> list[NDArray[np.bool_
 
 
 def _counted(rules: MetricRules, hand: Hand) -> NDArray[np.bool_]:
-    return np.array([name not in rules.uncounted_bodies for name in _bare_names(hand)])
-
-
-def _bare_names(hand: Hand) -> list[str]:
-    """Names of the bodies without the prefix that tells left from right."""
-    return [n.removeprefix(hand.side[0] + "h_") for n in hand.body_names]
+    return np.array([name not in rules.uncounted_bodies for name in hand.plain_body_names])
 
 
 def _by_prefix(distances: Distances, hands: Sequence[Hand]) -> FloatArray:
-    """Smallest distance of the bodies whose names begin with a finger's, (F,)."""
+    """Smallest distance of the bodies whose names begin with a finger's, (F,).
+
+    Where no name does, the finger's bodies are those of the hand's spec.
+    """
     nearest = []
     for hand, bodies in zip(hands, distances.bodies, strict=True):
-        names = _bare_names(hand)
-        for finger in hand.fingers:
-            mine = [k for k, name in enumerate(names) if name.startswith(finger)]
+        for finger, own in hand.fingers.items():
+            begin = [k for k, n in enumerate(hand.plain_body_names) if n.startswith(finger)]
+            mine = begin or [hand.body_names.index(name) for name in own]
             nearest.append(float(bodies[mine].min()))
     return np.array(nearest)

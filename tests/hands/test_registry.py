@@ -20,7 +20,7 @@ SPECS = Path(registry.__file__).parent / "specs"
 
 
 def test_names_list_the_shipped_hands():
-    assert hand_names() == ("capsule", "shadow")
+    assert hand_names() == ("allegro", "capsule", "leap", "shadow")
     for name in hand_names():
         spec = registry.hand_spec(name)
         assert spec.name == name
@@ -28,7 +28,7 @@ def test_names_list_the_shipped_hands():
 
 
 def test_unknown_hand_lists_the_names():
-    with pytest.raises(UnknownName, match="known: capsule, shadow") as caught:
+    with pytest.raises(UnknownName, match="known: allegro, capsule, leap, shadow") as caught:
         load_hand("shadwo", "left")
     assert caught.value.exit_code == 3
     assert "did you mean 'shadow'" in str(caught.value)

@@ -61,8 +61,10 @@ def test_the_wheel_is_the_package_and_its_data(built):
         "bidexdata/py.typed",
         "bidexdata/formats/dataset_card.md",
         "bidexdata/hands/specs/LICENSE",
+        "bidexdata/hands/specs/allegro.yaml",
         "bidexdata/hands/specs/capsule.yaml",
         "bidexdata/hands/specs/capsule_links.yaml",
+        "bidexdata/hands/specs/leap.yaml",
         "bidexdata/hands/specs/shadow.yaml",
     } <= set(names)
     assert "License-Expression: Apache-2.0" in text

@@ -71,6 +71,16 @@ def test_each_failure_has_its_status():
     assert judge(finite, gaps, depth, CONFIG, among_hands=none, table=none).tolist() == expected
 
 
+def test_a_hand_with_fewer_contacts_than_are_needed_needs_them_all():
+    gaps = np.full((2, 2, 5), np.nan)
+    gaps[:, 0, :2] = 0.0  # two contact points on the left, five on the right
+    gaps[:, 1] = 0.0
+    gaps[1, 0, 1] = 0.02
+    none = np.zeros(2)
+    status = judge(np.ones(2, bool), gaps, none, CONFIG, among_hands=none, table=none)
+    assert status.tolist() == [Status.OK, Status.CONTACT_LOST]
+
+
 def test_no_accepted_grasp_is_deeper_than_the_limit():
     rng = np.random.default_rng(1)
     depth = rng.uniform(0, 0.02, 300)

@@ -1,11 +1,15 @@
 """Laws of the whole synthesis: rows, counts, bytes, failures."""
 
+import shutil
+
 import numpy as np
 import pytest
+import yaml
 
 from bidexdata.config import with_overrides
 from bidexdata.hands import load_hands
 from bidexdata.hands.kinematics import hand_points
+from bidexdata.hands.registry import spec_path
 from bidexdata.objects.prepare import prepare_object
 from bidexdata.record import Scene, Status
 from bidexdata.record.fields import FIELDS, columns_written_by
@@ -214,3 +218,20 @@ def test_the_paper_preset_runs(obj, hands, scenes):
     made = synthesize(obj, hands, scenes[:1], config, seed=2, grasps=GRASPS)
     assert np.sum(made["audit"]) == GRASPS
     assert np.any(made["synth_status"] == Status.OK)
+
+
+def test_hands_may_have_any_and_different_numbers_of_contacts(tmp_path, obj):
+    spec = yaml.safe_load(spec_path("capsule").read_text())
+    spec["contacts"] = [c for c in spec["contacts"] if c["name"] in ("ff", "rf", "th")]
+    shutil.copy(spec_path("capsule").with_name("capsule_links.yaml"), tmp_path)
+    (tmp_path / "three.yaml").write_text(yaml.safe_dump(spec))
+    mixed = load_hands(f"{tmp_path / 'three.yaml'},capsule")
+    batch = synthesize(obj, mixed, [Scene(obj.object_id, 300)], seed=1, grasps=2)
+    made = batch.select(batch["synth_status"] == Status.OK)
+    assert len(made) > 0
+    assert np.all(made["contact_index"] == [[0, 1, 2, -1, -1], [0, 1, 2, 3, 4]])
+    pressed = np.linalg.norm(made["contact_force"], axis=-1)
+    assert np.all(np.isnan(pressed[:, 0, 3:]))
+    # Each hand presses with at least gamma, whatever the number of its contacts.
+    along = -np.sum(made["contact_force"] * made["contact_normal"], axis=-1)
+    assert np.all(np.nansum(along, axis=2) > 1 - 1e-3)
