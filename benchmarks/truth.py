@@ -109,7 +109,8 @@ def _compare(path: str, number: int, test: str, protocol: str, which: str) -> li
 
 def _aside(batch: GraspBatch, x: float) -> GraspBatch:
     """The same grasps with the object `x` aside [m]."""
-    return batch.with_columns(object_pos=batch.object_pos + np.array([x, 0, 0], np.float32))
+    moved = batch.object_pos + np.array([x, 0.0, 0.0], np.float32)
+    return GraspBatch(batch.header, {**batch.columns, "object_pos": moved})
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
