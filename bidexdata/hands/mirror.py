@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 SAME_SHAPE = 0.001
 """Collision geometry that is nowhere farther than this from its twin's mirror image has its twin's
 spheres [m]. Ours: below the margin that spheres keep from an object and the protrusion of the fit."""
+_FLIP = np.diag([1.0, -1.0, 1.0, 1.0])
+"""Between a palm frame and its mirror image: y -> -y."""
 _SAMPLES = 0.01
 """Largest edge of the triangles whose centres are compared [m]."""
 
@@ -47,8 +49,7 @@ def mirror_image(spec: HandSpec) -> FloatArray:
         axis = "xyz".index(spec.mirror or "x")
         image[axis, axis] = -1.0
         return image
-    # Of two palm frames the one is the mirror image of the other, y -> -y.
-    return palm_frame(own) @ np.diag([1.0, -1.0, 1.0, 1.0]) @ invert(palm_frame(spec.palm_frame))
+    return palm_frame(own) @ _FLIP @ invert(palm_frame(spec.palm_frame))
 
 
 def palm_frame(frame: PalmFrameSpec) -> FloatArray:
@@ -65,12 +66,7 @@ def palm_frame_of(spec: HandSpec, side: Side) -> FloatArray:
     own = spec.sides[side].palm_frame
     if side == spec.written_for or own is not None:
         return palm_frame(own or spec.palm_frame)
-    image = mirror_image(spec)[:3, :3]
-    T = palm_frame(spec.palm_frame)
-    # The reflection of the hand frame is y -> -y of the palm frame.
-    T[:3, :3] = image @ T[:3, :3] @ np.diag([1.0, -1.0, 1.0])
-    T[:3, 3] = image @ T[:3, 3]
-    return T
+    return mirror_image(spec) @ palm_frame(spec.palm_frame) @ _FLIP
 
 
 def twin_bodies(spec: HandSpec, written: Hand, other: Hand) -> IntArray:
