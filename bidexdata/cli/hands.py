@@ -90,10 +90,9 @@ def _check(
 
 
 def _check_place(picture: Path) -> None:
-    from bidexdata.errors import NotUsable, PathNotFound
+    from bidexdata.errors import PathNotFound
+    from bidexdata.pictures.sheet import PICTURE_ENDINGS, require_ending
 
-    endings = (".png", ".jpg", ".jpeg", ".webp")
-    if picture.suffix.lower() not in endings:
-        raise NotUsable(f"--out {picture}: a picture ends in one of {', '.join(endings)}")
+    require_ending(picture, PICTURE_ENDINGS, "a picture of a hand")
     if not picture.resolve().parent.is_dir():
         raise PathNotFound(picture.parent, "a folder for the picture")

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bidexdata.errors import BadConfig
+
 if TYPE_CHECKING:
     from PIL.Image import Image
     from PIL.ImageDraw import ImageDraw
@@ -25,6 +27,8 @@ TEXT = 13
 TITLE = 19
 GAP = 10
 _STEP = TEXT + 4  # pixels from line to line
+PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp")
+"""Endings of files of one picture."""
 FRAME_MS = 110
 """Time that one picture of an animation stays [ms]."""
 
@@ -134,6 +138,16 @@ def fitted(text: str, width: int, size: int) -> str:
         if font.getlength(short) <= width:
             return short
     return "…"
+
+
+def require_ending(out: Path, endings: Sequence[str], what: str) -> None:
+    """Refuse a file whose ending says no format that `what` can be written in.
+
+    Raises:
+        BadConfig: It is none of the endings, whatever their case.
+    """
+    if out.suffix.lower() not in endings:
+        raise BadConfig(f"--out {out}: {what} is written as one of {', '.join(endings)}")
 
 
 def save_picture(image: Image, path: Path) -> None:

@@ -257,10 +257,12 @@ def _object_tiles(
 
 
 def _check(out: Path, source: Browsable, *, only: Only | None, count: int, video: bool) -> None:
-    endings = (".mp4", ".gif", ".png") if video else (".png", ".jpg", ".jpeg", ".webp")
-    if out.suffix.lower() not in endings:
-        what = "an animation" if video else "a contact sheet"
-        raise BadConfig(f"--out {out}: {what} is written as one of {', '.join(endings)}")
+    from bidexdata.pictures.sheet import PICTURE_ENDINGS, require_ending
+
+    if video:
+        require_ending(out, (".mp4", ".gif", ".png"), "an animation")
+    else:
+        require_ending(out, PICTURE_ENDINGS, "a contact sheet")
     if video and out.suffix.lower() == ".mp4":
         from bidexdata.pictures.video import require_encoder
 
