@@ -18,7 +18,8 @@ from bidexdata.simulation.scene import build_scene
 from bidexdata.simulation.state import object_pose, set_pose
 from bidexdata.validation import Execution, load_protocol, validate_grasps
 from bidexdata.validation.checks import reference
-from bidexdata.validation.stages import clear_load, closing_path, hold, set_load
+from bidexdata.validation.loads import clear_load, set_load
+from bidexdata.validation.stages import closing_path, hold
 from bidexdata.validation.validate import grasp_of
 
 PAPER = load_protocol("paper-1")

@@ -13,12 +13,14 @@ from grasps import batch_of, squeeze
 from bidexdata.simulation.scene import build_scene
 from bidexdata.simulation.state import set_pose
 from bidexdata.validation import Execution, load_protocol
+from bidexdata.validation.loads import set_load
 from bidexdata.validation.rest import Grip, RestRules, probe, rests
-from bidexdata.validation.stages import close_hands, set_load
+from bidexdata.validation.stages import close_hands
 from bidexdata.validation.validate import grasp_of
 
 PAPER = load_protocol("paper-1")
 RULES = RestRules()
+LOADS = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
@@ -43,7 +45,7 @@ def state_of(scene):
 def test_a_probe_leaves_no_trace(hands):
     scene = closed(hands)
     before = state_of(scene)
-    probe(scene, PAPER, RULES)
+    probe(scene, PAPER, RULES, LOADS)
     np.testing.assert_array_equal(state_of(scene), before)
     mujoco.mj_step(scene.model, scene.data, 20)
     after = state_of(scene)
@@ -57,8 +59,8 @@ def test_the_less_friction_a_grasp_needs_the_firmer_it_is(hands):
     for friction in (0.6, 0.3, 0.06):
         scene = closed(hands)
         scene.model.geom_friction[:, 0] = friction
-        set_load(scene, PAPER, np.array([0.0, 0.0, -1.0]), 40.0)  # a heavy box
-        grips.append(list(Grip).index(probe(scene, PAPER, RULES)))
+        scene.object_mass *= 40.0  # the load of a heavy box
+        grips.append(list(Grip).index(probe(scene, PAPER, RULES, LOADS)))
     assert grips == sorted(grips)
     assert grips[0] == 0
     assert list(Grip)[grips[-1]] is Grip.LOOSE
@@ -75,11 +77,11 @@ def test_a_load_ends_only_for_objects_that_are_slow_and_near(hands, grip):
         return rests(scene, PAPER, RULES, grip, **where, lasted=lasted, left=3.0 - lasted)
 
     assert ends()
-    assert ends(speed=0.001) is (grip is not Grip.LOOSE)
-    assert ends(speed=0.002) is (grip in {Grip.FIRM, Grip.SETTLED})
-    assert ends(speed=0.005) is (grip is Grip.FIRM)
+    assert ends(speed=0.0005)
+    assert ends(speed=0.0012) is (grip is not Grip.LOOSE)
+    assert ends(speed=0.005) is (grip in {Grip.FIRM, Grip.SETTLED})
     assert ends(speed=0.02, turn=0.1) is (grip is Grip.FIRM)
-    assert not ends(speed=0.05)
+    assert not ends(speed=0.06)
     assert not ends(turn=0.25)
     assert ends(lasted=0.5) is (grip is not Grip.LOOSE)
     assert not ends(moved=0.95 * PAPER.limit_pos)
