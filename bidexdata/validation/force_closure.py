@@ -86,7 +86,12 @@ def _all_directions(
         restore_state(scene, closed)
         set_load(scene, protocol, _load(grasp, name), multiple)
         look = None if watch is None else _named(watch, f"load {name}")
-        phase = hold(scene, protocol, protocol.checks, wanted, execution, grip=grip, watch=look)
+        phase = hold(
+            *(scene, protocol, protocol.checks, wanted, execution),
+            rules=execution.rest,
+            grip=grip,
+            watch=look,
+        )
         clear_load(scene)
         worst = Phase(
             phase.status,

@@ -102,12 +102,14 @@ def _lifted(
     else:
         # What is out of place already need not be probed: nothing will end its hold early.
         probed = not execution.plain and status is Status.OK
+        rest = execution.lift_rest
         grip = Grip.LOOSE
         if probed:
-            grip = probe(scene, protocol, execution.rest, [np.array(DOWN)])
+            grip = probe(scene, protocol, rest, [np.array(DOWN)])
             set_load(scene, protocol, np.array(DOWN), multiple)
+        checks = protocol.lift_checks
         phase = hold(
-            scene, protocol, protocol.lift_checks, wanted, execution, grip=grip, watch=watch
+            *(scene, protocol, checks, wanted, execution), rules=rest, grip=grip, watch=watch
         )
         ended = TestStage.NONE if phase.status is Status.OK else TestStage.HOLD
     return _Lifted(ended, phase, touched, thrown, lifted)

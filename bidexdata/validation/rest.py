@@ -2,8 +2,8 @@
 
 Motion alone cannot tell. Grips creep at about 1 mm/s, those that hold for ever and those that let
 go after two seconds alike. Friction can: under the loads with half of it the latter lose the object
-at once, the former hardly move, or soon come to rest elsewhere. So each grasp is probed once, and the
-looser it is the longer it is watched.
+at once, the former hardly move, or soon come to rest elsewhere. So each grasp is probed once, and
+the looser it is the longer it is watched.
 
 Source:
     docs/measurements.md, 8, for the form of the rule; the probe and all numbers are ours, chosen on
@@ -59,12 +59,14 @@ class RestRules:
     """Time between two looks [s]."""
     probe_friction: float = 0.5
     """Share of the sliding friction that the probe leaves [-]."""
-    probe_time: float = 0.36
-    """Duration of the probe, all loads together [s]."""
+    probe_time: float = 0.06
+    """Duration of the probe under each load [s]."""
     firm_moved: float = 0.02
     """A firm grasp moves less than this in it [m] ..."""
     firm_turned: float = math.radians(10.0)
-    """... and turns less than this [rad]."""
+    """... turns less than this [rad] ..."""
+    firm_speed: float = 0.3
+    """... and is slower than this when a load ends [m/s]."""
     settled_moved: float = 0.03
     """A grasp that settles moves less than this [m] ..."""
     settled_turned: float = math.radians(12.0)
@@ -89,6 +91,17 @@ class RestRules:
     def of(self, grip: Grip) -> tuple[Slow, ...]:
         """The rules for one kind of grip."""
         return getattr(self, grip.value)
+
+
+LIFT_RULES = RestRules(
+    probe_time=0.12,
+    firm_moved=0.01,
+    firm_turned=math.radians(5.0),
+    firm_speed=0.05,
+    settled=(Slow(speed=0.003, turn=0.02, times=2.0, share=0.9),),
+    loose=(Slow(speed=0.0005, turn=0.004, times=2.0, share=0.7, after=1.0),),
+)
+"""For the hold of a lift: one load tells less than six, and one hold is soon watched."""
 
 
 class Grip(Enum):
@@ -117,8 +130,8 @@ def probe(
     friction = model.geom_friction[:, 0].copy()
     start = reference(scene, protocol)
     steps = max(1, round(rules.every / model.opt.timestep))
-    looks = max(1, round(rules.probe_time / len(loads) / rules.every))
-    moved = turned = 0.0
+    looks = max(1, round(rules.probe_time / rules.every))
+    moved = turned = speed = 0.0
     model.geom_friction[:, 0] *= rules.probe_friction
     try:
         for load in loads:
@@ -129,11 +142,13 @@ def probe(
                 if now.status is not Status.OK:
                     return Grip.LOOSE
                 moved, turned = max(moved, now.moved), max(turned, now.turned)
+            speed = max(speed, object_speed(scene)[0])
     finally:
         model.geom_friction[:, 0] = friction
         clear_load(scene)
         restore_state(scene, state)
-    if moved < rules.firm_moved and turned < rules.firm_turned:
+    slow = speed < rules.firm_speed
+    if moved < rules.firm_moved and turned < rules.firm_turned and slow:
         return Grip.FIRM
     if moved < rules.settled_moved and turned < rules.settled_turned:
         return Grip.SETTLED
