@@ -79,8 +79,8 @@ class RestRules:
     )
     """Any of these ends a load on a firm grasp."""
     settled: tuple[Slow, ...] = (
-        Slow(speed=0.01, turn=0.06, times=1.0, share=0.7, at_most=1.0),
-        Slow(speed=0.003, turn=0.02, times=2.0, share=0.9),
+        Slow(speed=0.01, turn=0.06, times=1.0, share=0.5, at_most=1.0),
+        Slow(speed=0.003, turn=0.02, times=2.0, share=0.7),
     )
     """... on one that settles."""
     fair: tuple[Slow, ...] = (Slow(speed=0.0015, turn=0.01, times=2.0, share=0.8),)
@@ -98,7 +98,7 @@ LIFT_RULES = RestRules(
     firm_moved=0.01,
     firm_turned=math.radians(5.0),
     firm_speed=0.05,
-    settled=(Slow(speed=0.003, turn=0.02, times=2.0, share=0.9),),
+    settled=(Slow(speed=0.003, turn=0.02, times=2.0, share=0.7),),
     loose=(Slow(speed=0.0005, turn=0.004, times=2.0, share=0.7, after=1.0),),
 )
 """For the hold of a lift: one load tells less than six, and one hold is soon watched."""
