@@ -30,7 +30,8 @@ from bidexdata.simulation.noslip import NoslipSteps
 from bidexdata.simulation.scene import SimScene
 from bidexdata.simulation.state import set_pose
 from bidexdata.validation import Execution, Protocol, load_protocol, validate_grasps
-from bidexdata.validation.stages import Grasp, close_hands, set_load
+from bidexdata.validation.loads import set_load
+from bidexdata.validation.stages import Grasp, close_hands
 from bidexdata.validation.validate import TESTS, grasp_of, scene_of_rows
 
 MESHES = Path("../shared/objects")

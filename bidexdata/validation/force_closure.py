@@ -13,10 +13,11 @@ from bidexdata.simulation.scene import SimScene
 from bidexdata.simulation.state import restore_state, saved_state, set_pose
 
 from .checks import Reference, check, reference, touches_object
+from .loads import clear_load, set_load
 from .margin import largest_multiple
 from .protocols import Protocol
 from .rest import Grip, probe
-from .stages import Execution, Grasp, Phase, Watch, clear_load, close_hands, hold, set_load
+from .stages import Execution, Grasp, Phase, Watch, close_hands, hold
 from .verdict import UNSTABLE, Verdict, closing_failure, hold_cause, start_overlap
 
 
@@ -45,7 +46,8 @@ def force_closure(
         return closing_failure(protocol, status, moved, turned)
     touched = touches_object(scene)
     closed = saved_state(scene)
-    grip = Grip.LOOSE if execution.plain else probe(scene, protocol, execution.rest)
+    loads = [_load(grasp, name) for name in protocol.directions]
+    grip = Grip.LOOSE if execution.plain else probe(scene, protocol, execution.rest, loads)
 
     def loaded(multiple: float, watch: Watch | None = None) -> tuple[int, Phase]:
         # What the probe said holds for the protocol's own load; others end by the strictest rule.
@@ -78,15 +80,18 @@ def _all_directions(
     watch: Watch | None,
 ) -> tuple[int, Phase]:
     """Hold under each load in turn; the first failing direction, -1 when none fails."""
-    axes = matrix_from_quat(grasp.object_quat).T
     worst = Phase(Status.OK, 0.0, 0.0, np.nan)
     for name in protocol.directions:
         direction = DIRECTIONS.index(name)
         restore_state(scene, closed)
-        sign = 1.0 if name[0] == "+" else -1.0
-        set_load(scene, protocol, sign * axes[direction // 2], multiple)
+        set_load(scene, protocol, _load(grasp, name), multiple)
         look = None if watch is None else _named(watch, f"load {name}")
-        phase = hold(scene, protocol, protocol.checks, wanted, execution, grip=grip, watch=look)
+        phase = hold(
+            *(scene, protocol, protocol.checks, wanted, execution),
+            rules=execution.rest,
+            grip=grip,
+            watch=look,
+        )
         clear_load(scene)
         worst = Phase(
             phase.status,
@@ -97,6 +102,12 @@ def _all_directions(
         if phase.status is not Status.OK:
             return direction, worst
     return -1, worst
+
+
+def _load(grasp: Grasp, name: str) -> NDArray[np.float64]:
+    """Unit vector of a load in the world, (3,)."""
+    axis = matrix_from_quat(grasp.object_quat).T[DIRECTIONS.index(name) // 2]
+    return axis if name[0] == "+" else -axis
 
 
 def _named(watch: Watch, phase: str) -> Watch:

@@ -12,20 +12,11 @@ from bidexdata.simulation.scene import SimScene
 from bidexdata.simulation.state import set_pose
 
 from .checks import check, reference, touches_object
+from .loads import clear_load, set_load
 from .margin import largest_multiple
 from .protocols import Protocol
 from .rest import Grip, probe
-from .stages import (
-    Execution,
-    Grasp,
-    Phase,
-    Watch,
-    clear_load,
-    close_hands,
-    hold,
-    lift_hands,
-    set_load,
-)
+from .stages import Execution, Grasp, Phase, Watch, close_hands, hold, lift_hands
 from .verdict import UNSTABLE, Verdict, closing_failure, hold_cause, start_overlap
 
 DOWN = (0.0, 0.0, -1.0)
@@ -111,9 +102,14 @@ def _lifted(
     else:
         # What is out of place already need not be probed: nothing will end its hold early.
         probed = not execution.plain and status is Status.OK
-        grip = probe(scene, protocol, execution.rest) if probed else Grip.LOOSE
+        rest = execution.lift_rest
+        grip = Grip.LOOSE
+        if probed:
+            grip = probe(scene, protocol, rest, [np.array(DOWN)])
+            set_load(scene, protocol, np.array(DOWN), multiple)
+        checks = protocol.lift_checks
         phase = hold(
-            scene, protocol, protocol.lift_checks, wanted, execution, grip=grip, watch=watch
+            *(scene, protocol, checks, wanted, execution), rules=rest, grip=grip, watch=watch
         )
         ended = TestStage.NONE if phase.status is Status.OK else TestStage.HOLD
     return _Lifted(ended, phase, touched, thrown, lifted)

@@ -1,9 +1,9 @@
 """When a load may end before its time: the object rests, and will go on resting.
 
 Motion alone cannot tell. Grips creep at about 1 mm/s, those that hold for ever and those that let
-go after two seconds alike. Friction can: with half of it the latter lose the object at once, the
-former hardly move, or soon come to rest elsewhere. So each grasp is probed once, and the looser it
-is the longer it is watched.
+go after two seconds alike. Friction can: under the loads with half of it the latter lose the object
+at once, the former hardly move, or soon come to rest elsewhere. So each grasp is probed once, and
+the looser it is the longer it is watched.
 
 Source:
     docs/measurements.md, 8, for the form of the rule; the probe and all numbers are ours, chosen on
@@ -13,18 +13,22 @@ Source:
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bidexdata.record import Status
 from bidexdata.simulation.scene import SimScene
 from bidexdata.simulation.state import object_speed, restore_state, saved_state
 
 from .checks import check, reference
+from .loads import clear_load, set_load
 from .protocols import Protocol
+
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,44 +58,50 @@ class RestRules:
     every: float = 0.02
     """Time between two looks [s]."""
     probe_friction: float = 0.5
-    """Share of the sliding friction that the first probe leaves [-]."""
-    probe_time: float = 0.2
-    """Duration of the first probe [s]."""
-    firm_moved: float = 0.006
+    """Share of the sliding friction that the probe leaves [-]."""
+    probe_time: float = 0.06
+    """Duration of the probe under each load [s]."""
+    firm_moved: float = 0.02
     """A firm grasp moves less than this in it [m] ..."""
-    firm_turned: float = math.radians(2.5)
+    firm_turned: float = math.radians(10.0)
     """... turns less than this [rad] ..."""
-    firm_end: float = 0.008
-    """... and ends slower than this [m/s]."""
-    settled_moved: float = 0.015
+    firm_speed: float = 0.3
+    """... and is slower than this when a load ends [m/s]."""
+    settled_moved: float = 0.03
     """A grasp that settles moves less than this [m] ..."""
-    settled_turned: float = math.radians(10.0)
-    """... turns less than this [rad] ..."""
-    settled_end: float = 0.002
-    """... and ends slower than this [m/s]."""
-    loose_friction: float = 2 / 3
-    """Share of the sliding friction that the second probe leaves [-]."""
-    loose_time: float = 0.1
-    """Duration of the second probe [s]."""
-    loose_moved: float = 0.008
-    """A loose grasp moves more than this in both probes [m]."""
+    settled_turned: float = math.radians(12.0)
+    """... and turns less than this [rad]. One that loses the object is loose."""
 
     firm: tuple[Slow, ...] = (
-        Slow(speed=0.04, turn=0.2, times=1.0, share=0.6, at_most=0.4),
+        Slow(speed=0.05, turn=0.25, times=1.0, share=0.6, at_most=0.35),
         Slow(speed=0.012, turn=0.06, times=1.0, share=0.6, at_most=0.5),
         Slow(speed=0.0007, turn=0.005, times=2.0, share=0.9),
     )
     """Any of these ends a load on a firm grasp."""
-    settled: tuple[Slow, ...] = (Slow(speed=0.003, turn=0.02, times=2.0, share=0.9),)
+    settled: tuple[Slow, ...] = (
+        Slow(speed=0.01, turn=0.06, times=1.0, share=0.5, at_most=1.0),
+        Slow(speed=0.003, turn=0.02, times=2.0, share=0.7),
+    )
     """... on one that settles."""
     fair: tuple[Slow, ...] = (Slow(speed=0.0015, turn=0.01, times=2.0, share=0.8),)
     """... on any other that is not loose."""
-    loose: tuple[Slow, ...] = (Slow(speed=0.0005, turn=0.004, times=2.0, share=0.7, after=1.0),)
+    loose: tuple[Slow, ...] = (Slow(speed=0.001, turn=0.008, times=2.0, share=0.7, after=1.0),)
     """... on a loose one."""
 
     def of(self, grip: Grip) -> tuple[Slow, ...]:
         """The rules for one kind of grip."""
         return getattr(self, grip.value)
+
+
+LIFT_RULES = RestRules(
+    probe_time=0.12,
+    firm_moved=0.01,
+    firm_turned=math.radians(5.0),
+    firm_speed=0.05,
+    settled=(Slow(speed=0.003, turn=0.02, times=2.0, share=0.7),),
+    loose=(Slow(speed=0.0005, turn=0.004, times=2.0, share=0.7, after=1.0),),
+)
+"""For the hold of a lift: one load tells less than six, and one hold is soon watched."""
 
 
 class Grip(Enum):
@@ -103,53 +113,46 @@ class Grip(Enum):
     LOOSE = "loose"
 
 
-def probe(scene: SimScene, protocol: Protocol, rules: RestRules) -> Grip:
-    """Say how the grasp takes less friction under what acts now; the state stays as it is."""
-    way = _with_friction(scene, protocol, rules, rules.probe_friction, rules.probe_time)
-    if way.within(rules.firm_moved, rules.firm_turned, rules.firm_end):
-        return Grip.FIRM
-    if way.within(rules.settled_moved, rules.settled_turned, rules.settled_end):
-        return Grip.SETTLED
-    if way.moved < rules.loose_moved:
-        return Grip.FAIR
-    way = _with_friction(scene, protocol, rules, rules.loose_friction, rules.loose_time)
-    return Grip.FAIR if way.moved < rules.loose_moved else Grip.LOOSE
+def probe(
+    scene: SimScene, protocol: Protocol, rules: RestRules, loads: Sequence[FloatArray]
+) -> Grip:
+    """Say how the grasp takes the loads with less friction, one after the other.
 
+    State and friction stay as they are; the load is off afterwards.
 
-class _Way(NamedTuple):
-    """How far an object went in a probe; infinite when it was lost."""
-
-    moved: float
-    """Largest displacement [m]."""
-    turned: float
-    """Largest rotation [rad]."""
-    speed: float
-    """At the end [m/s]."""
-
-    def within(self, moved: float, turned: float, speed: float) -> bool:
-        return self.moved < moved and self.turned < turned and self.speed < speed
-
-
-def _with_friction(
-    scene: SimScene, protocol: Protocol, rules: RestRules, share: float, duration: float
-) -> _Way:
+    Args:
+        scene: Hands closed on the object.
+        protocol: Size of the loads; what leaves its limits is lost.
+        rules: The numbers.
+        loads: Directions, unit vectors of the world.
+    """
     model, state = scene.model, saved_state(scene)
     friction = model.geom_friction[:, 0].copy()
     start = reference(scene, protocol)
     steps = max(1, round(rules.every / model.opt.timestep))
-    largest = np.zeros(2)
-    model.geom_friction[:, 0] *= share
+    looks = max(1, round(rules.probe_time / rules.every))
+    moved = turned = speed = 0.0
+    model.geom_friction[:, 0] *= rules.probe_friction
     try:
-        for _ in range(round(duration / rules.every)):
-            scene.step(steps)
-            now = check(scene, protocol, start)
-            if now.status is not Status.OK:
-                return _Way(np.inf, np.inf, np.inf)
-            largest = np.maximum(largest, (now.moved, now.turned))
-        return _Way(float(largest[0]), float(largest[1]), object_speed(scene)[0])
+        for load in loads:
+            set_load(scene, protocol, load, 1.0)
+            for _ in range(looks):
+                scene.step(steps)
+                now = check(scene, protocol, start)
+                if now.status is not Status.OK:
+                    return Grip.LOOSE
+                moved, turned = max(moved, now.moved), max(turned, now.turned)
+            speed = max(speed, object_speed(scene)[0])
     finally:
         model.geom_friction[:, 0] = friction
+        clear_load(scene)
         restore_state(scene, state)
+    slow = speed < rules.firm_speed
+    if moved < rules.firm_moved and turned < rules.firm_turned and slow:
+        return Grip.FIRM
+    if moved < rules.settled_moved and turned < rules.settled_turned:
+        return Grip.SETTLED
+    return Grip.FAIR
 
 
 def rests(

@@ -20,7 +20,7 @@ from bidexdata.simulation.state import set_targets
 
 from .checks import Reference, check, instability
 from .protocols import Protocol
-from .rest import Grip, RestRules, rests
+from .rest import LIFT_RULES, Grip, RestRules, rests
 
 FloatArray = NDArray[np.float64]
 
@@ -32,15 +32,17 @@ Watch = Callable[[str, SimScene], None]
 class Execution:
     """Choices of how to run a protocol that cost time or save it, and are no part of it.
 
-    Unless `plain`, a load ends when `rest` says that the object stays within the limits to its
-    end, and `simulation.noslip` does its part of a step; `benchmarks/truth.py` compares the verdicts
+    Unless `plain`, a load ends when the rules of rest say that the object stays within the limits
+    to its end, and `simulation.noslip` does its part of a step; `benchmarks/truth.py` compares the verdicts
     with plain ones.
     """
 
     plain: bool = False
     """Simulate every load to its end, and leave all of a step to the engine."""
     rest: RestRules = field(default_factory=RestRules)
-    """When a load may end before its time."""
+    """When a load of test f may end before its time."""
+    lift_rest: RestRules = LIFT_RULES
+    """When the hold of a lift may."""
     load_margin: bool = False
     """Measure the load margin too; it costs about ten times the verdict."""
     analytic: bool = False
@@ -142,26 +144,6 @@ def lift_hands(
             return
 
 
-def set_load(scene: SimScene, protocol: Protocol, direction: FloatArray, multiple: float) -> None:
-    """Apply the protocol's load along a unit vector of the world, `multiple` times on the object.
-
-    Whatever the multiple, everything but the object feels gravity once: a margin is one of the
-    object's load, not of the hands' own weight.
-    """
-    gravity = protocol.gravity * np.asarray(direction)
-    force = scene.object_mass * gravity * multiple
-    if protocol.load == "gravity":
-        scene.model.opt.gravity[:] = gravity
-        force = scene.object_mass * gravity * (multiple - 1.0)
-    scene.data.xfrc_applied[scene.object_body, :3] = force
-
-
-def clear_load(scene: SimScene) -> None:
-    """Take every load away."""
-    scene.model.opt.gravity[:] = 0.0
-    scene.data.xfrc_applied[scene.object_body] = 0.0
-
-
 def _advance(
     scene: SimScene,
     protocol: Protocol,
@@ -184,6 +166,7 @@ def hold(
     wanted: Reference,
     execution: Execution,
     *,
+    rules: RestRules,
     grip: Grip = Grip.FAIR,
     watch: Watch | None = None,
 ) -> Phase:
@@ -195,11 +178,12 @@ def hold(
         checks: Number of checks.
         wanted: Where the object should be.
         execution: Whether rest may end the phase early, and who computes a step.
+        rules: When rest does.
         grip: What `rest.probe` said of the grasp.
         watch: Looks on.
     """
     timestep = scene.model.opt.timestep
-    rules, stops = execution.rest, not execution.plain
+    stops = not execution.plain
     look = max(1, round(rules.every / timestep))
     first = round(rules.start / timestep)
     per_check = protocol.steps_per_check

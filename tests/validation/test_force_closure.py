@@ -18,7 +18,8 @@ from bidexdata.simulation.scene import build_scene
 from bidexdata.simulation.state import object_pose, set_pose
 from bidexdata.validation import Execution, load_protocol, validate_grasps
 from bidexdata.validation.checks import reference
-from bidexdata.validation.stages import clear_load, closing_path, hold, set_load
+from bidexdata.validation.loads import clear_load, set_load
+from bidexdata.validation.stages import closing_path, hold
 from bidexdata.validation.validate import grasp_of
 
 PAPER = load_protocol("paper-1")
@@ -195,14 +196,14 @@ def test_without_hands_a_load_drops_the_object_and_no_load_leaves_it():
     start = np.zeros(3), np.array([1.0, 0, 0, 0])
     set_pose(scene, *start, *nothing)
     wanted = reference(scene, PAPER)
-    still = hold(scene, PAPER, PAPER.checks, wanted, PLAIN)
+    still = hold(scene, PAPER, PAPER.checks, wanted, PLAIN, rules=PLAIN.rest)
     assert still.status is Status.OK
     assert (still.drift_pos, still.drift_rot) == (0, 0)
     assert still.time == pytest.approx(3.0)
     np.testing.assert_array_equal(object_pose(scene)[0], 0)
     set_pose(scene, *start, *nothing)
     set_load(scene, PAPER, np.array([0, 0, 1.0]), 1.0)
-    fallen = hold(scene, PAPER, PAPER.checks, wanted, Execution())
+    fallen = hold(scene, PAPER, PAPER.checks, wanted, Execution(), rules=PLAIN.rest)
     clear_load(scene)
     assert fallen.status is Status.SLIP
     np.testing.assert_array_equal(scene.model.opt.gravity, 0)

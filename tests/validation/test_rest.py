@@ -13,12 +13,13 @@ from grasps import batch_of, squeeze
 from bidexdata.simulation.scene import build_scene
 from bidexdata.simulation.state import set_pose
 from bidexdata.validation import Execution, load_protocol
-from bidexdata.validation.rest import Grip, RestRules, probe, rests
-from bidexdata.validation.stages import close_hands, set_load
+from bidexdata.validation.rest import LIFT_RULES, Grip, RestRules, probe, rests
+from bidexdata.validation.stages import close_hands
 from bidexdata.validation.validate import grasp_of
 
 PAPER = load_protocol("paper-1")
 RULES = RestRules()
+LOADS = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
@@ -43,7 +44,7 @@ def state_of(scene):
 def test_a_probe_leaves_no_trace(hands):
     scene = closed(hands)
     before = state_of(scene)
-    probe(scene, PAPER, RULES)
+    probe(scene, PAPER, RULES, LOADS)
     np.testing.assert_array_equal(state_of(scene), before)
     mujoco.mj_step(scene.model, scene.data, 20)
     after = state_of(scene)
@@ -54,11 +55,11 @@ def test_a_probe_leaves_no_trace(hands):
 
 def test_the_less_friction_a_grasp_needs_the_firmer_it_is(hands):
     grips = []
-    for friction in (0.6, 0.3, 0.06):
+    for friction in (0.6, 0.01, 0.002):
         scene = closed(hands)
         scene.model.geom_friction[:, 0] = friction
-        set_load(scene, PAPER, np.array([0.0, 0.0, -1.0]), 40.0)  # a heavy box
-        grips.append(list(Grip).index(probe(scene, PAPER, RULES)))
+        heavy = replace(PAPER, gravity=3.0 * PAPER.gravity)
+        grips.append(list(Grip).index(probe(scene, heavy, RULES, LOADS)))
     assert grips == sorted(grips)
     assert grips[0] == 0
     assert list(Grip)[grips[-1]] is Grip.LOOSE
@@ -75,17 +76,28 @@ def test_a_load_ends_only_for_objects_that_are_slow_and_near(hands, grip):
         return rests(scene, PAPER, RULES, grip, **where, lasted=lasted, left=3.0 - lasted)
 
     assert ends()
-    assert ends(speed=0.001) is (grip is not Grip.LOOSE)
-    assert ends(speed=0.002) is (grip in {Grip.FIRM, Grip.SETTLED})
-    assert ends(speed=0.005) is (grip is Grip.FIRM)
+    assert ends(speed=0.0005)
+    assert ends(speed=0.0012) is (grip is not Grip.LOOSE)
+    assert ends(speed=0.005) is (grip in {Grip.FIRM, Grip.SETTLED})
     assert ends(speed=0.02, turn=0.1) is (grip is Grip.FIRM)
-    assert not ends(speed=0.05)
+    assert not ends(speed=0.06)
     assert not ends(turn=0.25)
     assert ends(lasted=0.5) is (grip is not Grip.LOOSE)
     assert not ends(moved=0.95 * PAPER.limit_pos)
     assert not ends(turned=0.95 * PAPER.limit_rot)
     # What ends with much time left ends with less of it too.
     assert all(ends(lasted=t) for t in (2.0, 2.9))
+
+
+def test_one_load_is_believed_less_than_six(hands):
+    scene = closed(hands)
+    down = [np.array([0.0, 0.0, -1.0])]
+    for heavier in (1.0, 10.0, 40.0, 200.0):
+        heavy = replace(PAPER, gravity=heavier * PAPER.gravity)
+        order = [list(Grip).index(probe(scene, heavy, r, down)) for r in (RULES, LIFT_RULES)]
+        assert order == sorted(order)
+    for grip in (Grip.FIRM, Grip.FAIR):
+        assert LIFT_RULES.of(grip) == RULES.of(grip)
 
 
 def test_without_stops_the_probe_is_not_run(hands, monkeypatch):
