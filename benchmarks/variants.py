@@ -38,6 +38,8 @@ SHARED: dict[str, tuple[str, ...]] = {
 ONLY: Mapping[str, dict[str, tuple[str, ...]]] = {
     "f": {
         "paper-1, every load to its end": (),
+        "loads 0.2 s after closing": ("load_after=0.2",),
+        "loads 1 s after closing": ("load_after=1.0",),
         "hold of 1 s": ("hold=1.0",),
         "hold of 6 s": ("hold=6.0",),
         "load as a force on the object alone": ("load=force",),

@@ -9,6 +9,7 @@ from bidexdata.config import fingerprint, from_plain, to_plain
 from bidexdata.errors import BadConfig, UnknownName
 from bidexdata.record.fields import JUDGED, ON_TABLE, TESTS
 from bidexdata.validation import Protocol, load_protocol, protocol_names
+from bidexdata.validation.protocols import LiftRules
 from bidexdata.validation.validate import TESTS as FUNCTIONS
 
 
@@ -51,7 +52,21 @@ def test_an_unknown_protocol_names_the_known_ones():
 
 
 @pytest.mark.parametrize(
-    "change", [{"hold": 0.0}, {"limit_rot": 4.0}, {"check_every": 1e-4}, {"segment_steps": 0}]
+    "change",
+    [
+        {"hold": 0.0},
+        {"limit_rot": 4.0},
+        {"check_every": 1e-4},
+        {"check_every": 0.07},
+        {"segment_steps": 0},
+        {"gravity": -9.8},
+        {"gravity": math.nan},
+        {"start_depth": -0.01},
+        {"unstable_speed": 0.0},
+        {"load_after": 0.0},
+        {"directions": ("+x", "+x")},
+        {"lift": LiftRules(hold=0.04)},
+    ],
 )
 def test_impossible_protocols_are_refused(change):
     with pytest.raises(BadConfig, match=next(iter(change))):
