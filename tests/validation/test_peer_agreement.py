@@ -1,6 +1,7 @@
 """Our scene and phases against DexGraspBench's own results, grasp by grasp.
 
-The objects are rebuilt by hand, apart from the importer, so that each is a check of the other.
+The objects are rebuilt by hand, apart from the importer, so that each is a check of the other; the
+last test goes the way of the commands.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ DEPTH_TOLERANCE = 1e-5  # [m]; its own two MuJoCo versions differ by as much
 # Its own code gives 158 of 160 equal verdicts and 123 and 121 successes on two MuJoCo versions.
 SAME_VERDICTS, RATE_EQUAL = 0.96, 0.02
 MEAN_EQUAL = 5e-5  # [m], of a mean over all grasps
+ITS_NAMES = {"pd": "ho_pene_m", "spd": "self_pene_m", "cdc": "contact_consis_m"}
 
 
 @pytest.fixture(scope="module")
@@ -189,10 +191,6 @@ def test_imported_validated_and_tabled_its_grasps_get_its_rates_and_depths(
     ours, theirs = both("suc_f", "succ_flag")
     assert np.mean(ours == theirs) >= SAME_VERDICTS
     assert abs(ours.mean() - theirs.mean()) <= RATE_EQUAL
-    for column, name in {
-        "pd": "ho_pene_m",
-        "spd": "self_pene_m",
-        "cdc": "contact_consis_m",
-    }.items():
+    for column, name in ITS_NAMES.items():
         ours, theirs = both(column, name)
         assert abs(ours.mean() - theirs.mean()) < MEAN_EQUAL, column
