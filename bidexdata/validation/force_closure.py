@@ -67,7 +67,7 @@ def force_closure(
         margin = largest_multiple(phase.status is Status.OK, lambda m: loaded(m)[0] < 0)
     if direction < 0:
         return Verdict(Status.OK, drift_pos=drift_pos, drift_rot=drift_rot, load_margin=margin)
-    cause = hold_cause(phase, touched=touched)
+    cause = hold_cause(phase, touched=touched, thrown=status is not Status.OK)
     return Verdict(cause, TestStage.HOLD, direction, drift_pos, drift_rot, phase.time, margin)
 
 

@@ -44,7 +44,7 @@ class Execution:
     lift_rest: RestRules = LIFT_RULES
     """When the hold of a lift may."""
     load_margin: bool = False
-    """Measure the load margin too; it costs about ten times the verdict."""
+    """Measure the load margin too; it costs ten (test l) to twenty times the verdict."""
     analytic: bool = False
     """Compute Q1 and the QP certificate too."""
 

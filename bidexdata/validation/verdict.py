@@ -73,10 +73,10 @@ def hold_cause(phase: Phase, *, touched: bool, thrown: bool = False, lifted: boo
     """
     if phase.status in UNSTABLE:
         return phase.status
-    if not touched:
-        return Status.NO_CONTACT
     if thrown:
         return Status.THROWN
+    if not touched:
+        return Status.NO_CONTACT
     if not lifted:
         return Status.NOT_LIFTED
     return phase.status

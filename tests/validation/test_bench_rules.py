@@ -116,7 +116,7 @@ def test_what_leaves_the_limits_while_closing_is_judged_at_the_first_check_of_a_
     assert out[True]["verdict_status"] == Status.THROWN
     assert out[True]["failed_stage"] == TestStage.CLOSING
     assert out[True]["direction"] == -1
-    assert out[False]["verdict_status"] == Status.SLIP
+    assert out[False]["verdict_status"] == Status.THROWN
     assert out[False]["failed_stage"] == TestStage.HOLD
     assert DIRECTIONS[out[False]["direction"]] == BENCH.directions[0] == "-x"
     assert out[False]["time"] == pytest.approx(0.2)
