@@ -24,8 +24,8 @@ SHARED: dict[str, tuple[str, ...]] = {
     "finger torque 1 N m": ("scene.actuator_force=1.0",),
     "stages of 0.2 s": ("segment_changes=5",),
     "stages of 1.0 s": ("segment_changes=25",),
-    "weld twice as stiff (0.01 s)": ("scene.weld_solref=[0.01, 1.0]",),
-    "weld half as stiff (0.04 s)": ("scene.weld_solref=[0.04, 1.0]",),
+    "weld of 0.01 s (four times as stiff)": ("scene.weld_solref=[0.01, 1.0]",),
+    "weld of 0.04 s (a quarter as stiff)": ("scene.weld_solref=[0.04, 1.0]",),
     "friction 0.8": ("scene.friction_slide=0.8",),
     "friction 0.4": ("scene.friction_slide=0.4",),
     "hands feel no gravity": ("scene.hand_gravity_compensation=1.0",),
@@ -38,6 +38,8 @@ SHARED: dict[str, tuple[str, ...]] = {
 ONLY: Mapping[str, dict[str, tuple[str, ...]]] = {
     "f": {
         "paper-1, every load to its end": (),
+        "loads 0.2 s after closing": ("load_after=0.2",),
+        "loads 1 s after closing": ("load_after=1.0",),
         "hold of 1 s": ("hold=1.0",),
         "hold of 6 s": ("hold=6.0",),
         "load as a force on the object alone": ("load=force",),

@@ -25,19 +25,24 @@ OMIT_NONE = {"omit_none": True}
 configuration, whose fingerprint stays what it was."""
 
 
-def to_plain(config: Any) -> Any:
-    """Turn a (nested) dataclass into dicts, lists and scalars that JSON can hold."""
+def to_plain(config: Any, *, whole: bool = False) -> Any:
+    """Turn a (nested) dataclass into dicts, lists and scalars that JSON can hold.
+
+    Args:
+        config: A dataclass, or what its fields hold.
+        whole: Give the keys too that plain data leaves out.
+    """
     if dataclasses.is_dataclass(config) and not isinstance(config, type):
         values = ((f, getattr(config, f.name)) for f in dataclasses.fields(config))
         return {
-            f.name: to_plain(value)
+            f.name: to_plain(value, whole=whole)
             for f, value in values
-            if value is not None or not f.metadata.get("omit_none", False)
+            if whole or value is not None or not f.metadata.get("omit_none", False)
         }
     if isinstance(config, Mapping):
-        return {str(k): to_plain(v) for k, v in config.items()}
+        return {str(k): to_plain(v, whole=whole) for k, v in config.items()}
     if isinstance(config, (list, tuple)):
-        return [to_plain(v) for v in config]
+        return [to_plain(v, whole=whole) for v in config]
     if isinstance(config, Path):
         return config.as_posix()
     return config
@@ -106,7 +111,7 @@ def with_overrides(config: T, assignments: Sequence[str]) -> T:
         UnknownKey: A key does not exist.
         UnknownChoice: A value is none of the words that its key takes.
     """
-    plain = to_plain(config)
+    plain = to_plain(config, whole=True)
     for assignment in assignments:
         key, sep, text = assignment.partition("=")
         if not (sep and key.strip()):

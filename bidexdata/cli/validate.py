@@ -41,7 +41,7 @@ def validate(
     ] = None,
     load_margin: Annotated[
         bool,
-        typer.Option("--load-margin", help="Measure the load margin too (about ten times slower)."),
+        typer.Option("--load-margin", help="Measure the load margin too (10 to 20 times slower)."),
     ] = False,
     analytic: Annotated[
         bool, typer.Option("--analytic", help="Compute Q1 and the QP certificate too.")

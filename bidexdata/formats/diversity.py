@@ -4,6 +4,8 @@ A grasp is one vector: for every hand the position of the hand frame in the obje
 orientation as a rotation vector [rad] and its joints [rad]. D is the share of the variance along
 the first principal component; small is diverse. Metres and radians are mixed, and radians are
 larger, so D hardly sees positions: the scale-free D divides every number by its own deviation.
+DexGraspBench takes positions of its hand's root, 34 mm below our palm: of its 160 example grasps D
+is 0.3433 from there and 0.3437 from the palm.
 
 Source:
     DexGraspBench (PCA of all evaluated grasps, unscaled); BiDexGrasp, appendix D, which states the

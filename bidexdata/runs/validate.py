@@ -239,7 +239,7 @@ def _validate_task(
     if protocol.backend != "mujoco":  # its rule is another
         from bidexdata.validation.warp_checks import REST
 
-        notes["execution"]["rest"] = to_plain(REST)
+        notes["execution"]["rest"] = notes["execution"]["lift_rest"] = to_plain(REST)
     mark = verdict_fingerprint(run, protocol, test)
     write_shard(path, verdicts.to_arrow(), mark, device=device, notes=notes)
     labels = [Status(int(s)).label for s in columns["verdict_status"]]

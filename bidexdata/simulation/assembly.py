@@ -46,7 +46,9 @@ def joint_actuator(joint: str) -> str:
 def scene_spec(
     hands: Sequence[Hand], solid: Solid | None, size: float, settings: SceneSettings, *, table: bool
 ) -> mujoco.MjSpec:
-    """Assemble the scene as a spec; contact, gain and solver numbers are set by `scene._apply_settings`.
+    """Assemble the scene as a spec.
+
+    Contact, gain and solver numbers are set by `scene._apply_settings`.
 
     Args:
         hands: Hands in the order of the record's H axis.

@@ -71,7 +71,8 @@ def instability(scene: SimScene, protocol: Protocol) -> Status | None:
     than is possible.
     """
     data = scene.data
-    if np.any(data.warning.number) or not np.isfinite(data.qpos).all():
+    finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
+    if np.any(data.warning.number) or not finite:
         return Status.UNSTABLE
     roots = [*scene.root_qvel, scene.object_qvel]
     speeds = np.linalg.norm(np.array([data.qvel[a : a + 3] for a in roots]), axis=1)

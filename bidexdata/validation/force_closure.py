@@ -17,7 +17,7 @@ from .loads import clear_load, set_load
 from .margin import largest_multiple
 from .protocols import Protocol
 from .rest import Grip, probe
-from .stages import Execution, Grasp, Phase, Watch, close_hands, hold
+from .stages import Execution, Grasp, Phase, Watch, close_hands, hold, wait_for_load
 from .verdict import UNSTABLE, Verdict, closing_failure, hold_cause, start_overlap
 
 
@@ -33,17 +33,20 @@ def force_closure(
     Each load starts from a copy of the closed state, so closing is simulated once. The first
     failing load decides, the rest are not run: the verdict and its direction are the same.
     """
+    no_margin = 0.0 if execution.load_margin else np.nan
     refused = start_overlap(scene, protocol, grasp)
     if refused is not None:
-        return refused
+        return refused._replace(load_margin=no_margin)
     at = (grasp.hand_pos[:, 0], grasp.hand_quat[:, 0], grasp.joints[:, 0])
     clear_load(scene)
     set_pose(scene, grasp.object_pos, grasp.object_quat, *at)
     wanted = reference(scene, protocol)
     close_hands(scene, protocol, grasp, execution, watch)
+    wait_for_load(scene, protocol, execution, watch)
     status, moved, turned = check(scene, protocol, wanted)
     if status in UNSTABLE or (protocol.check_closing and status is not Status.OK):
-        return closing_failure(protocol, status, moved, turned)
+        failure = closing_failure(protocol, status, moved, turned)
+        return failure._replace(load_margin=no_margin)
     touched = touches_object(scene)
     closed = saved_state(scene)
     loads = [_load(grasp, name) for name in protocol.directions]
@@ -64,7 +67,7 @@ def force_closure(
         margin = largest_multiple(phase.status is Status.OK, lambda m: loaded(m)[0] < 0)
     if direction < 0:
         return Verdict(Status.OK, drift_pos=drift_pos, drift_rot=drift_rot, load_margin=margin)
-    cause = hold_cause(phase, touched=touched)
+    cause = hold_cause(phase, touched=touched, thrown=status is not Status.OK)
     return Verdict(cause, TestStage.HOLD, direction, drift_pos, drift_rot, phase.time, margin)
 
 

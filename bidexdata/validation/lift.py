@@ -38,7 +38,7 @@ def lift(
     """
     refused = start_overlap(scene, protocol, grasp)
     if refused is not None:
-        return refused
+        return refused._replace(load_margin=0.0 if execution.load_margin else np.nan)
     try:
         first = _lifted(scene, protocol, grasp, execution, 1.0, watch)
         margin = np.nan
@@ -55,7 +55,8 @@ def lift(
             Status.OK, drift_pos=phase.drift_pos, drift_rot=phase.drift_rot, load_margin=margin
         )
     if first.ended is TestStage.CLOSING:
-        return closing_failure(protocol, phase.status, np.nan, np.nan)
+        failure = closing_failure(protocol, phase.status, np.nan, np.nan)
+        return failure._replace(load_margin=margin)
     cause = hold_cause(phase, touched=first.touched, thrown=first.thrown, lifted=first.lifted)
     return Verdict(cause, first.ended, -1, phase.drift_pos, phase.drift_rot, phase.time, margin)
 
@@ -100,8 +101,8 @@ def _lifted(
         phase = Phase(status, moved, turned, up_time)
         ended = TestStage.NONE if status is Status.OK else TestStage.LIFT
     else:
-        # What is out of place already need not be probed: nothing will end its hold early.
-        probed = not execution.plain and status is Status.OK
+        # Other loads than the protocol's, and what is out of place already, end by the loose rule.
+        probed = multiple == 1.0 and not execution.plain and status is Status.OK
         rest = execution.lift_rest
         grip = Grip.LOOSE
         if probed:

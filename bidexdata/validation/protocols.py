@@ -53,10 +53,8 @@ class LiftRules:
     """Time after the lift through which the object is judged [s]; 0: once, at its end."""
 
     def __post_init__(self) -> None:
-        for name in ("height", "changes", "steps"):
-            if not getattr(self, name) > 0:
-                raise BadConfig(f"LiftRules.{name} must be positive, not {getattr(self, name)!r}")
-        if not self.hold >= 0:
+        _require_positive(self, "height", "changes", "steps")
+        if not 0 <= self.hold < math.inf:
             raise BadConfig(f"LiftRules.hold must not be negative, got {self.hold!r}")
 
 
@@ -89,6 +87,9 @@ class MetricRules:
     """Pairs up to `reach` apart are all found. DexGraspBench changes margins after compiling, and
     the broad phase then misses some, whose fingers read as being at the reach."""
 
+    def __post_init__(self) -> None:
+        _require_positive(self, "reach", "contact_within")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Protocol:
@@ -116,6 +117,8 @@ class Protocol:
     """The load: along each direction in test f, down in test l [m/s^2] (paper, section 6)."""
     directions: tuple[str, ...] = DIRECTIONS
     """Loads of test f in the order in which they are applied, along the object's axes."""
+    load_after: float | None = field(default=None, metadata=OMIT_NONE)
+    """How long after closing the loads of test f begin [s]; None: at once."""
     hold: float = 3.0
     """Duration of each load of test f [s] (paper, section 6)."""
     lift: LiftRules = field(default_factory=LiftRules)
@@ -138,22 +141,29 @@ class Protocol:
     """Whose verdicts they are; None: those of MuJoCo's C engine. `backends.on_backend` sets it."""
 
     def __post_init__(self) -> None:
-        positive = ("segment_changes", "segment_steps", "hold", "check_every", "limit_pos")
-        for name in positive:
-            if not getattr(self, name) > 0:
-                raise BadConfig(f"Protocol.{name} must be positive, not {getattr(self, name)!r}")
+        counts = ("segment_changes", "segment_steps")
+        times = ("hold", "check_every", *(("load_after",) if self.load_after is not None else ()))
+        _require_positive(self, *counts, *times, "gravity", "limit_pos", "unstable_speed")
+        if not 0 <= self.start_depth < math.inf:
+            raise BadConfig(f"Protocol.start_depth must not be negative, got {self.start_depth!r}")
         if not 0 < self.limit_rot <= math.pi:
             raise BadConfig(f"Protocol.limit_rot must be in (0, pi], not {self.limit_rot!r}")
         if self.steps_per_check < 1 or self.checks < 1:
             raise BadConfig("Protocol.check_every must be at least a timestep and at most hold")
+        if not math.isclose(self.steps_per_check * self.scene.timestep, self.check_every):
+            raise BadConfig("Protocol.check_every must be a multiple of scene.timestep")
+        if self.lift.hold > 0 and self.lift_checks < 1:
+            raise BadConfig("Protocol.lift.hold must be 0 or at least check_every")
         unknown = [t for t in self.tests if t not in JUDGED]
         if unknown or not self.tests:
             known = " and ".join(JUDGED)
             raise BadConfig(f"Protocol.tests may name {known}, not {list(self.tests)!r}")
         wrong = [d for d in self.directions if d not in DIRECTIONS]
-        if wrong or not self.directions:
+        if wrong or not self.directions or len(set(self.directions)) < len(self.directions):
             known = ", ".join(DIRECTIONS)
-            raise BadConfig(f"Protocol.directions may name {known}, not {list(self.directions)!r}")
+            raise BadConfig(
+                f"Protocol.directions may name each of {known} once, not {list(self.directions)!r}"
+            )
         if not _NAME.fullmatch(self.name):
             raise BadConfig(
                 f"Protocol.name {self.name!r}: use lower-case letters, digits, dots and dashes"
@@ -188,6 +198,13 @@ class Protocol:
     def closing_time(self) -> float:
         """Duration of both closing segments [s]."""
         return 2 * self.segment_changes * self.segment_steps * self.scene.timestep
+
+
+def _require_positive(rules: object, *names: str) -> None:
+    for name in names:
+        value = getattr(rules, name)
+        if not 0 < value < math.inf:
+            raise BadConfig(f"{type(rules).__name__}.{name} must be positive, not {value!r}")
 
 
 def protocol_names() -> tuple[str, ...]:

@@ -84,7 +84,7 @@ class RestRules:
     )
     """... on one that settles."""
     fair: tuple[Slow, ...] = (Slow(speed=0.0015, turn=0.01, times=2.0, share=0.8),)
-    """... on any other that is not loose."""
+    """... on a fair one: any other that keeps the object."""
     loose: tuple[Slow, ...] = (Slow(speed=0.001, turn=0.008, times=2.0, share=0.7, after=1.0),)
     """... on a loose one."""
 
@@ -101,7 +101,8 @@ LIFT_RULES = RestRules(
     settled=(Slow(speed=0.003, turn=0.02, times=2.0, share=0.7),),
     loose=(Slow(speed=0.0005, turn=0.004, times=2.0, share=0.7, after=1.0),),
 )
-"""For the hold of a lift: one load tells less than six, and one hold is soon watched."""
+"""For the hold of a lift: the probe's one load tells less than six, and strict rules cost little
+where only one hold is watched."""
 
 
 class Grip(Enum):

@@ -44,7 +44,7 @@ class Execution:
     lift_rest: RestRules = LIFT_RULES
     """When the hold of a lift may."""
     load_margin: bool = False
-    """Measure the load margin too; it costs about ten times the verdict."""
+    """Measure the load margin too; it costs ten (test l) to twenty times the verdict."""
     analytic: bool = False
     """Compute Q1 and the QP certificate too."""
 
@@ -80,9 +80,9 @@ class Phase(NamedTuple):
 
     status: Status
     drift_pos: float
-    """Largest displacement from the pose before closing at a check [m]."""
+    """Largest displacement from where the object should be, at a check or the early end [m]."""
     drift_rot: float
-    """Largest rotation from the pose before closing at a check [rad]."""
+    """Largest rotation from there, likewise [rad]."""
     time: float
     """Simulated time at which the phase failed, or was accepted, since its start [s]."""
 
@@ -130,6 +130,15 @@ def close_hands(
             return
 
 
+def wait_for_load(
+    scene: SimScene, protocol: Protocol, execution: Execution, watch: Watch | None = None
+) -> None:
+    """Hold the squeeze until the loads of test f begin."""
+    if protocol.load_after is not None:
+        steps = round(protocol.load_after / scene.model.opt.timestep)
+        _advance(scene, protocol, steps, execution, "closing", watch)
+
+
 def lift_hands(
     scene: SimScene,
     protocol: Protocol,
@@ -167,7 +176,7 @@ def hold(
     execution: Execution,
     *,
     rules: RestRules,
-    grip: Grip = Grip.FAIR,
+    grip: Grip,
     watch: Watch | None = None,
 ) -> Phase:
     """Hold under the load that is on, from the scene's present state.

@@ -25,21 +25,23 @@ class Verdict(NamedTuple):
     direction: int = -1
     """First failing load of test f, a place in `record.fields.DIRECTIONS`; -1 when none failed."""
     drift_pos: float = np.nan
-    """Largest displacement at a check [m]; NaN when nothing was simulated."""
+    """Largest displacement at a check or an early end [m]; NaN when nothing was simulated, or the
+    simulation broke while closing."""
     drift_rot: float = np.nan
-    """Largest rotation at a check [rad]."""
+    """Largest rotation, likewise [rad]."""
     time: float = np.nan
     """Simulated time of the failure since the start of its phase [s]; NaN on success."""
     load_margin: float = np.nan
-    """Largest multiple of the load that holds; NaN where it was not measured."""
+    """Largest multiple of the load that holds, 0 where the hands never closed on the object; NaN
+    where it was not measured."""
 
 
 def start_overlap(scene: SimScene, protocol: Protocol, grasp: Grasp) -> Verdict | None:
     """Refuse a pre-grasp that overlaps deeper than the protocol allows; None when it does not.
 
     Counted are each hand with the object, with itself and with the other; in a scene with a table
-    hands with the table (in every protocol), and where the protocol takes the table for a hand (`MetricRules.table_is_hand`) the
-    object with the table.
+    hands with the table (in every protocol), and where the protocol takes the table for a hand
+    (`MetricRules.table_is_hand`) the object with the table.
     """
     at = (grasp.hand_pos[:, 0], grasp.hand_quat[:, 0], grasp.joints[:, 0])
     counts = protocol.metrics.last_body_counts
@@ -71,10 +73,10 @@ def hold_cause(phase: Phase, *, touched: bool, thrown: bool = False, lifted: boo
     """
     if phase.status in UNSTABLE:
         return phase.status
-    if not touched:
-        return Status.NO_CONTACT
     if thrown:
         return Status.THROWN
+    if not touched:
+        return Status.NO_CONTACT
     if not lifted:
         return Status.NOT_LIFTED
     return phase.status

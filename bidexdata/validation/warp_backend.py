@@ -154,6 +154,7 @@ def require_supported(protocol: Protocol) -> None:
     bench = {
         "load": protocol.load != "gravity",
         "directions": protocol.directions != DIRECTIONS,
+        "load_after": protocol.load_after is not None,
         "check_closing": not protocol.check_closing,
         "reference": protocol.reference != "centre_of_mass",
         "lift.hold": protocol.lift_checks == 0,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -152,6 +153,18 @@ def test_parts_of_several_machines_give_the_same_bytes(whole: Path, library: Pat
         options = [*OPTIONS, "--executor", "inline", "--shard", part, "--quiet"]
         assert run(["synth", str(library), "--out", str(folder), *options]) == 0
     assert run(["validate", str(folder), "--executor", "inline", "--quiet"]) == 0
+    assert files_of(folder) == files_of(whole)
+
+
+def test_verdicts_of_several_machines_are_the_same_bytes(whole: Path):
+    folder = whole.parent / "judged-in-parts"
+    shutil.copytree(whole, folder)
+    shutil.rmtree(folder / "validate")
+    tasks = [task.task_id for task in Run.open(folder).tasks]
+    validate = ["validate", str(folder), "--executor", "inline", "--quiet"]
+    for shard, done in ((["--shard", "1/2"], tasks[1::2]), ([], tasks)):
+        assert run([*validate, *shard]) == 0
+        assert done_tasks(folder / "validate" / "paper-1" / "f") == set(done)
     assert files_of(folder) == files_of(whole)
 
 

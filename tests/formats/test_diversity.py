@@ -7,7 +7,9 @@ import pytest
 from made_release import made_hands
 
 from bidexdata.formats.diversity import DiversityTally, grasp_vectors
+from bidexdata.formats.importers.dexgraspbench import ROOT_TO_PALM
 from bidexdata.frames import quat_from_rotation_vector, quat_multiply, quat_rotate, random_quat
+from bidexdata.hands import load_hand
 from bidexdata.record import GraspBatch, Header
 
 HANDS = tuple(h.header() for h in made_hands())
@@ -97,3 +99,29 @@ def test_rows_that_are_no_pose_are_left_out():
     for row, wrong in enumerate((0.0, np.nan, np.inf)):
         bad.hand_quat_wxyz[row, 0, 1] = wrong
     assert value(good, bad) == value(good)
+
+
+def test_the_d_of_a_peer_s_grasps_is_the_peer_s_from_its_own_root(shared):
+    """DexGraspBench states 0.3433 for these; its root lies 34 mm below our palm."""
+    folder = shared / "peers" / "dexgraspbench"
+    if not folder.is_dir():
+        pytest.skip("needs ../shared/peers (grasps of other projects), not part of the project")
+    qpos = np.load(folder / "grasps.npz")["grasp_qpos"].astype(np.float64)
+    root, quat, joints = np.split(qpos, [3, 7], axis=1)
+    palm = root + quat_rotate(quat, ROOT_TO_PALM)
+    assert one_hand(root, quat, joints).d == pytest.approx(0.3433, abs=1e-4)
+    assert one_hand(palm, quat, joints).d == pytest.approx(0.3437, abs=1e-4)
+
+
+def one_hand(pos, quat, joints):
+    """D of grasps of one hand whose objects stand as in their files."""
+    n = len(pos)
+    columns = {
+        "object_pos": np.zeros((n, 3)),
+        "object_quat_wxyz": np.tile([1.0, 0, 0, 0], (n, 1)),
+        "hand_pos": np.repeat(pos[:, None, None], 3, axis=2),
+        "hand_quat_wxyz": np.repeat(quat[:, None, None], 3, axis=2),
+        "joints": np.repeat(joints[:, None, None], 3, axis=2),
+    }
+    header = Header((load_hand("capsule", "right").header(),))  # its joints are the peer's
+    return value(GraspBatch(header, {k: v.astype(np.float32) for k, v in columns.items()}))

@@ -18,6 +18,7 @@ from bidexdata.validation import (
     backends,
     load_protocol,
     on_backend,
+    protocol_names,
     validate_grasps,
 )
 from bidexdata.validation.protocols import Engine, require_own_name
@@ -41,12 +42,24 @@ def on_gpu(monkeypatch):
     monkeypatch.setattr(backends, "engine_identity", lambda _device: HERE)
 
 
-def test_the_settings_of_a_published_protocol_and_their_hash_are_what_they_were():
-    assert PAPER.engine is None
-    assert "engine" not in to_plain(PAPER)
-    # fingerprint(load_protocol("paper-1")) before there was a second engine
-    assert fingerprint(PAPER) == "5b363e09f793258c"
-    assert on_backend(PAPER, "mujoco") is PAPER
+# fingerprint(load_protocol(name)), which the verdicts of runs and releases are marked with
+PRINTS = {
+    "paper-1": "5b363e09f793258c",
+    "paper-1-density25": "d3c69fab9b1aec01",
+    "paper-1-density250": "e2247085f40e1246",
+    "paper-1-mass500g": "9619f7547cdf5784",
+    "dexgraspbench-1": "2a71131ccde44cc8",
+    "bimandexgraspbench-1": "86d2b2ffa9f08172",
+}
+
+
+@pytest.mark.parametrize("name", protocol_names())
+def test_the_settings_of_a_published_protocol_and_their_hash_are_what_they_were(name):
+    protocol = load_protocol(name)
+    assert protocol.engine is None
+    assert "engine" not in to_plain(protocol)
+    assert fingerprint(protocol) == PRINTS[name]
+    assert on_backend(protocol, "mujoco") is protocol
 
 
 def test_verdicts_of_another_engine_have_another_name_and_fingerprint(on_gpu):

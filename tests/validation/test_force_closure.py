@@ -17,8 +17,10 @@ from bidexdata.simulation.distances import measure_distances
 from bidexdata.simulation.scene import build_scene
 from bidexdata.simulation.state import object_pose, set_pose
 from bidexdata.validation import Execution, load_protocol, validate_grasps
-from bidexdata.validation.checks import reference
+from bidexdata.validation.checks import instability, reference
+from bidexdata.validation.force_closure import force_closure
 from bidexdata.validation.loads import clear_load, set_load
+from bidexdata.validation.rest import Grip
 from bidexdata.validation.stages import closing_path, hold
 from bidexdata.validation.validate import grasp_of
 
@@ -196,17 +198,40 @@ def test_without_hands_a_load_drops_the_object_and_no_load_leaves_it():
     start = np.zeros(3), np.array([1.0, 0, 0, 0])
     set_pose(scene, *start, *nothing)
     wanted = reference(scene, PAPER)
-    still = hold(scene, PAPER, PAPER.checks, wanted, PLAIN, rules=PLAIN.rest)
+    still = hold(scene, PAPER, PAPER.checks, wanted, PLAIN, rules=PLAIN.rest, grip=Grip.LOOSE)
     assert still.status is Status.OK
     assert (still.drift_pos, still.drift_rot) == (0, 0)
     assert still.time == pytest.approx(3.0)
     np.testing.assert_array_equal(object_pose(scene)[0], 0)
     set_pose(scene, *start, *nothing)
     set_load(scene, PAPER, np.array([0, 0, 1.0]), 1.0)
-    fallen = hold(scene, PAPER, PAPER.checks, wanted, Execution(), rules=PLAIN.rest)
+    fallen = hold(
+        scene, PAPER, PAPER.checks, wanted, Execution(), rules=PLAIN.rest, grip=Grip.LOOSE
+    )
     clear_load(scene)
     assert fallen.status is Status.SLIP
     np.testing.assert_array_equal(scene.model.opt.gravity, 0)
+
+
+def test_loads_begin_as_late_as_the_protocol_says(hands):
+    seen = {}
+    for after in (None, 0.2):
+        scene = build_scene(hands, BOX, 0.3, PAPER.scene)
+        times = []
+        rules = replace(PAPER, load_after=after)
+        force_closure(
+            *(scene, rules, grasp_of(batch_of(hands, [squeeze(hands)]), 0), PLAIN),
+            watch=lambda phase, s, times=times: times.append((phase, s.data.time)),
+        )
+        seen[after] = max(t for phase, t in times if phase == "closing")
+    assert seen[0.2] - seen[None] == pytest.approx(0.2)
+
+
+def test_a_speed_that_is_no_number_is_unstable(hands):
+    scene = build_scene(hands, BOX, 0.3, PAPER.scene)
+    assert instability(scene, PAPER) is None
+    scene.data.qvel[-1] = np.nan
+    assert instability(scene, PAPER) is Status.UNSTABLE
 
 
 def test_closing_passes_through_the_grasp_in_equal_steps(hands):

@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from box_solids import box_solid
-from grasps import batch_of, squeeze
+from grasps import HALF, batch_of, squeeze, turned
 
+from bidexdata.record import Status
 from bidexdata.validation import Execution, load_protocol, validate_grasps
 from bidexdata.validation.margin import BISECTIONS, LARGEST, SMALLEST, largest_multiple
+from bidexdata.validation.rest import probe
 
 PAPER = load_protocol("paper-1")
 RATIO = 2 ** (1 / 2**BISECTIONS)
@@ -50,6 +52,31 @@ def test_heavier_objects_have_margins_in_proportion(hands):
         assert out["success"][0] == (out["load_margin"][0] >= 1)
         margins.append(out["load_margin"][0])
     assert margins[0] / margins[1] == pytest.approx(2.0, rel=0.3)
+
+
+def test_a_lift_is_probed_under_its_own_load_alone(hands, monkeypatch):
+    from bidexdata.validation import lift
+
+    probes = []
+    grasp = turned(squeeze(hands), np.array([1.0, 0, 0, 0]), np.array([0.0, 0.0, HALF]))
+    batch = batch_of(hands, [grasp], object_pos=[(0.0, 0.0, HALF)])
+    monkeypatch.setattr(lift, "probe", lambda *args: probes.append(args) or probe(*args))
+    rules = replace(PAPER, lift=replace(PAPER.lift, hold=0.5))
+    how = Execution(load_margin=True)
+    out = validate_grasps(batch, box_solid(), hands, rules, "l", execution=how)
+    assert out["load_margin"][0] >= 2
+    assert len(probes) == 1
+
+
+def test_a_grasp_that_is_never_simulated_has_no_margin(hands):
+    inside = squeeze(hands, gaps=(-0.03,) * 3)
+    for test in ("f", "l"):
+        out = validate_grasps(
+            *(batch_of(hands, [inside]), box_solid(), hands, PAPER, test),
+            execution=Execution(load_margin=True),
+        )
+        assert out["verdict_status"][0] == Status.START_PENETRATION
+        assert out["load_margin"][0] == 0
 
 
 def test_a_grasp_that_holds_nothing_has_no_margin(hands):

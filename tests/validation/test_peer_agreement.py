@@ -1,6 +1,7 @@
 """Our scene and phases against DexGraspBench's own results, grasp by grasp.
 
-The objects are rebuilt by hand, apart from the importer, so that each is a check of the other.
+The objects are rebuilt by hand, apart from the importer, so that each is a check of the other; the
+last test goes the way of the commands.
 """
 
 from __future__ import annotations
@@ -9,8 +10,10 @@ import csv
 import json
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
+from bidexdata.cli import main as cli
 from bidexdata.frames import quat_rotate
 from bidexdata.objects.prepared import Solid, TriangleMesh
 from bidexdata.simulation.scene import build_scene
@@ -25,11 +28,17 @@ ROOT_TO_PALM = np.array([0.0, 0.0, 0.034])
 PROTOCOL = load_protocol("dexgraspbench-1")
 CDC_EQUAL = 0.8  # which near pairs its broad phase misses depends on the order of the geoms
 DEPTH_TOLERANCE = 1e-5  # [m]; its own two MuJoCo versions differ by as much
+# Its own code gives 158 of 160 equal verdicts and 123 and 121 successes on two MuJoCo versions.
+SAME_VERDICTS, RATE_EQUAL = 0.96, 0.02
+MEAN_EQUAL = 5e-5  # [m], of a mean over all grasps
+ITS_NAMES = {"pd": "ho_pene_m", "spd": "self_pene_m", "cdc": "contact_consis_m"}
 
 
 @pytest.fixture(scope="module")
 def peer(shared):
     folder = shared / "peers" / "dexgraspbench"
+    if not folder.is_dir():
+        pytest.skip("needs ../shared/peers (grasps of other projects), not part of the project")
     with open(folder / "peer_results.csv", newline="") as f:
         results = list(csv.DictReader(f))
     return folder, np.load(folder / "grasps.npz"), results
@@ -155,5 +164,33 @@ def test_all_its_grasps_agree_but_for_a_few(peer, right_hand):
     agree, depths = agreement(peer, right_hand, range(160))
     assert agree >= 155  # its own code agrees with itself on 158 between two MuJoCo versions
     np.testing.assert_allclose(depths[:, :2], 0, atol=DEPTH_TOLERANCE)
-    assert abs(depths[:, 2].mean()) < 5e-5
+    assert abs(depths[:, 2].mean()) < MEAN_EQUAL
     assert np.mean(depths[:, 3] == 0) >= 0.97
+
+
+@pytest.mark.slow
+def test_imported_validated_and_tabled_its_grasps_get_its_rates_and_depths(
+    peer, menagerie, tmp_path
+):
+    """By the commands that users call; objects and poses are the importer's."""
+    folder, _, results = peer
+    run, table = tmp_path / "run", tmp_path / "table.parquet"
+    for words in (
+        ("import", "dexgraspbench", folder, "--out", run),
+        ("validate", run, "--protocol", PROTOCOL.name),
+        ("table", run, "--out", table, "--protocol", PROTOCOL.name),
+    ):
+        assert cli.run([*map(str, words), "--quiet"]) == 0
+    rows = {row["source_ref"]: row for row in pq.read_table(table).to_pylist()}
+    assert set(rows) == {row["file"] for row in results}
+
+    def both(ours, theirs):
+        found = [[rows[r["file"]][ours], float(r[f"mj400_{theirs}"])] for r in results]
+        return np.array(found, float).T
+
+    ours, theirs = both("suc_f", "succ_flag")
+    assert np.mean(ours == theirs) >= SAME_VERDICTS
+    assert abs(ours.mean() - theirs.mean()) <= RATE_EQUAL
+    for column, name in ITS_NAMES.items():
+        ours, theirs = both(column, name)
+        assert abs(ours.mean() - theirs.mean()) < MEAN_EQUAL, column

@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import pytest
 
-from bidexdata.config import fingerprint, from_plain, to_plain
+from bidexdata.config import fingerprint, from_plain, to_plain, with_overrides
 from bidexdata.errors import BadConfig, UnknownName
 from bidexdata.record.fields import JUDGED, ON_TABLE, TESTS
 from bidexdata.validation import Protocol, load_protocol, protocol_names
+from bidexdata.validation.protocols import LiftRules
 from bidexdata.validation.validate import TESTS as FUNCTIONS
 
 
@@ -51,8 +52,30 @@ def test_an_unknown_protocol_names_the_known_ones():
 
 
 @pytest.mark.parametrize(
-    "change", [{"hold": 0.0}, {"limit_rot": 4.0}, {"check_every": 1e-4}, {"segment_steps": 0}]
+    "change",
+    [
+        {"hold": 0.0},
+        {"limit_rot": 4.0},
+        {"check_every": 1e-4},
+        {"check_every": 0.07},
+        {"segment_steps": 0},
+        {"gravity": -9.8},
+        {"gravity": math.nan},
+        {"start_depth": -0.01},
+        {"unstable_speed": 0.0},
+        {"load_after": 0.0},
+        {"directions": ("+x", "+x")},
+        {"lift": LiftRules(hold=0.04)},
+    ],
 )
 def test_impossible_protocols_are_refused(change):
     with pytest.raises(BadConfig, match=next(iter(change))):
         replace(load_protocol("paper-1"), **change)
+
+
+def test_a_key_that_published_settings_leave_out_can_be_set():
+    paper = load_protocol("paper-1")
+    assert "load_after" not in to_plain(paper)
+    late = with_overrides(paper, ["name=late-1", "load_after=0.2"])
+    assert late.load_after == 0.2
+    assert from_plain(Protocol, to_plain(late)) == late
