@@ -138,7 +138,7 @@ def test_what_a_killed_writer_leaves_stops_nothing_and_goes(tmp_path, meshes, sm
     mark = f"{socket.gethostname()}.{dead_process()}"
     partial = out / "objects" / "00" / f".box-00000000.{mark}.partial"
     partial.mkdir(parents=True)
-    (partial / "object.json").touch()
+    (partial / "object.json").write_text('{"schema_version": "1.0", "config": {"other": 1}}')
     left = [out / f".report.html.{mark}.tmp", out / f".index.parquet.{mark}.partial"]
     left += [out / ".times" / f".times.js.{mark}.tmp", out / ".parts" / "x" / f".0.json.{mark}.tmp"]
     for path in left:

@@ -49,7 +49,7 @@ _READABLE = frozenset(
 _COMPONENT = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-_URI = re.compile(rb'"uri"\s{0,99}:\s{0,99}("(?!data:)[^"]{1,1000}")')
+_URI = re.compile(rb'"uri"\s{0,99}:\s{0,99}("[^"]{1,1000}")')
 _PICTURES = (".basis", ".bmp", ".dds", ".gif", ".jpeg", ".jpg", ".ktx2", ".png", ".tga", ".webp")
 
 
