@@ -1,7 +1,8 @@
-"""Numbers with the word for what they count, as a person writes them."""
+"""Texts for a person: numbers with the word for what they count, names that can be stored."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 
@@ -27,6 +28,16 @@ def listed(words: Sequence[str], first: int = 3) -> str:
     """
     more = f" and {len(words) - first} more" if len(words) > first else ""
     return ", ".join(words[:first]) + more
+
+
+def storable(text: str) -> str:
+    r"""A text with `\xNN` or `\uNNNN` for what UTF-8 has no bytes for, as in some file names.
+
+    >>> storable("caf\udce9.obj"), storable("café")
+    ('caf\\xe9.obj', 'café')
+    """
+    text = re.sub("[\udc80-\udcff]", lambda m: f"\\x{ord(m[0]) - 0xDC00:02x}", text)
+    return text.encode("utf-8", "backslashreplace").decode()
 
 
 def share(value: float | None, missing: str = "-") -> str:

@@ -55,8 +55,9 @@ def prepare(
     library is the one that a single machine makes.
 
     --json keys: library, inputs, prepared, hulls, resumed, made (inputs that this call worked on),
-    no_longer (objects that left the index), by_status, failures (source_name, status, reason; a
-    duplicate is none), warnings (source_name, warning), waiting (inputs of other parts that are not
+    no_longer (objects that left the index), by_status, failures (source_name, status, reason),
+    left_out (the same of duplicates and of what the selection leaves out; --dry-run does not look
+    for near duplicates), warnings (source_name, warning), waiting (inputs of other parts that are not
     done), seconds, fingerprint. While some are waiting, the others count this part only.
     """
     from bidexdata.errors import NothingSucceeded
@@ -79,6 +80,7 @@ def prepare(
     data = report.as_dict()
     if dry_run:
         lines = [f"{r['source_name']}{r['reason'] and ': '}{r['reason']}" for r in report.rows]
+        lines.append("near duplicates are not counted: they are found when the library is made")
         lines.append(
             f"{counted(len(report.rows), 'input')} ({counts_text(report.by_status)}); "
             "nothing was written"

@@ -165,11 +165,17 @@ def failures_of(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
 
     Duplicates and what a selection leaves out are no failures.
     """
-    return [
-        {"source_name": r["source_name"], "status": r["status_label"], "reason": r["reason"]}
-        for r in rows
-        if r["status"] not in (Status.OK, *LEFT_OUT)
-    ]
+    return [_with_reason(r) for r in rows if r["status"] not in (Status.OK, *LEFT_OUT)]
+
+
+def left_out_of(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
+    """The same of duplicates and of what a selection leaves out."""
+    return [_with_reason(r) for r in rows if r["status"] in LEFT_OUT]
+
+
+def _with_reason(row: Mapping[str, Any]) -> dict[str, str]:
+    named = {"source_name": "source_name", "status": "status_label", "reason": "reason"}
+    return {name: row[column] for name, column in named.items()}
 
 
 def object_folder(object_id: str) -> Path:

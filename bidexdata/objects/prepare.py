@@ -7,7 +7,6 @@ diagonal), surface points, signed distances, hull, rest poses.
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +21,11 @@ from bidexdata.objects.debris import without_debris
 from bidexdata.objects.deviation import hausdorff
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.given import GivenPieces, given_pieces
-from bidexdata.objects.identity import object_id_of, source_bytes
+from bidexdata.objects.identity import Identity, identity_of, object_id_of, source_identity
 from bidexdata.objects.loading import LoadedMesh, load_mesh, unit_mesh
 from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepared import PreparedObject, TriangleMesh
+from bidexdata.objects.readers.inside import regular_bytes
 from bidexdata.objects.repair import Repaired, repair
 from bidexdata.objects.selection import outside
 from bidexdata.objects.sources import SourceItem
@@ -61,11 +61,11 @@ def prepare_object(
         (1, 6)
     """
     config = config or PrepareConfig()
-    item, data = _item_and_bytes(source, config.load.max_bytes)
+    item, identity = _item_and_identity(source, config.load.max_bytes)
     given, doubts = _usable_pieces(item, config)
     if given is not None and not doubts:
-        return _of_given(item, data, given, config)
-    whole = _loaded(source, item, data, given, config)
+        return _of_given(item, identity, given, config)
+    whole = _loaded(source, item, given, config)
     loaded, dropped = without_debris(whole, config.repair, config.load)
     if dropped:
         doubts += (f"{counted(dropped, 'small part')} dropped, apart from the rest",)
@@ -73,11 +73,12 @@ def prepare_object(
     shape = _shape(repaired.mesh, config)
     split = decompose(repaired.mesh, config.convex)
     solid = unit_solid(split.pieces)
-    provenance = _provenance(item, data, loaded, repaired, split, solid, config) | shape
+    provenance = _provenance(item, identity, loaded, repaired, split, solid, config) | shape
     provenance["source_faces"] = len(whole.mesh.faces)
     provenance["repair_steps"] = ["drop_debris"] * bool(dropped) + provenance["repair_steps"]
     provenance["warnings"] = [*doubts, *provenance["warnings"]]
-    return assembled(object_id_of(item, data), solid, repaired.mesh, provenance, config)
+    object_id = object_id_of(item, identity.sha256)
+    return assembled(object_id, solid, repaired.mesh, provenance, config)
 
 
 def check_selected(item: SourceItem, config: PrepareConfig) -> None:
@@ -86,12 +87,12 @@ def check_selected(item: SourceItem, config: PrepareConfig) -> None:
     Raises:
         PrepareFailure: It leaves the input out, or the input cannot become a closed mesh.
     """
-    data = source_bytes(item, config.load.max_bytes)
+    source_identity(item, config.load.max_bytes)  # refuses what prepare_object refuses
     given, doubts = _usable_pieces(item, config)
     if given is not None and not doubts:
         _shape(_union(unit_solid(given.pieces)), config)
         return
-    loaded, _ = without_debris(_loaded(item, item, data, given, config), config.repair, config.load)
+    loaded, _ = without_debris(_loaded(item, item, given, config), config.repair, config.load)
     _shape(repair(loaded.mesh, config.repair).mesh, config)
 
 
@@ -111,7 +112,6 @@ def _usable_pieces(
 def _loaded(
     source: str | Path | TriangleMesh | SourceItem,
     item: SourceItem,
-    data: bytes,
     given: GivenPieces | None,
     config: PrepareConfig,
 ) -> LoadedMesh:
@@ -123,6 +123,7 @@ def _loaded(
     if item.shape is not None:
         return unit_mesh(shape_mesh(item.shape), config.load, metres_per_unit=1.0)
     assert item.path is not None
+    data = regular_bytes(item.path, config.load.max_bytes)
     return load_mesh(item.path, data, config.load)
 
 
@@ -133,7 +134,7 @@ def _union(solid: UnitSolid) -> TriangleMesh:
 
 def _provenance(
     item: SourceItem,
-    data: bytes,
+    identity: Identity,
     loaded: LoadedMesh,
     repaired: Repaired,
     split: Decomposition,
@@ -147,7 +148,7 @@ def _provenance(
     moved = _union(solid)
     metres = loaded.metres_per_unit
     return {
-        **_origin(item, data),
+        **_origin(item, identity),
         "source_diagonal": loaded.diagonal,
         "source_metres_per_unit": metres,
         # x_file = origin_in_file + unit_in_file * x_object, after the turn to z up.
@@ -165,14 +166,14 @@ def _provenance(
 
 
 def _of_given(
-    item: SourceItem, data: bytes, given: GivenPieces, config: PrepareConfig
+    item: SourceItem, identity: Identity, given: GivenPieces, config: PrepareConfig
 ) -> PreparedObject:
     """Assemble an object of the pieces that its source gives, as they are."""
     solid = unit_solid(given.pieces)
     union = _union(solid)
     shown, samples = given.shown or union, config.repair.hausdorff_samples
     provenance = {
-        **_origin(item, data),
+        **_origin(item, identity),
         "source_faces": len(given.whole.faces),
         "source_diagonal": float(np.linalg.norm(np.ptp(given.whole.vertices, axis=0))),
         "source_radius": given.radius,
@@ -193,7 +194,7 @@ def _of_given(
         ratio = solid.volume * solid.diagonal**3 / closed.volume()
         provenance["volume_ratio"] = ratio
         provenance["warnings"] += _of_volume(ratio)
-    return assembled(object_id_of(item, data), solid, shown, provenance, config)
+    return assembled(object_id_of(item, identity.sha256), solid, shown, provenance, config)
 
 
 def _of_volume(ratio: float) -> list[str]:
@@ -223,7 +224,7 @@ def _apart(solid: UnitSolid, mesh: TriangleMesh, samples: int) -> float:
     return hausdorff(solid.mesh, TriangleMesh(moved, mesh.faces), samples)
 
 
-def _origin(item: SourceItem, data: bytes) -> dict[str, Any]:
+def _origin(item: SourceItem, identity: Identity) -> dict[str, Any]:
     """Where an object is from."""
     known = {
         "source_name": item.source_name,
@@ -231,23 +232,24 @@ def _origin(item: SourceItem, data: bytes) -> dict[str, Any]:
         "licence": item.licence,
         "author": item.author,
         "category": item.category,
-        "source_sha256": hashlib.sha256(data).hexdigest(),
-        "source_bytes": len(data),
+        "source_sha256": identity.sha256,
+        "source_bytes": identity.size,
     }
     if item.normalisation:
         known["source_normalisation"] = item.normalisation
     return known
 
 
-def _item_and_bytes(
+def _item_and_identity(
     source: str | Path | TriangleMesh | SourceItem, most: int
-) -> tuple[SourceItem, bytes]:
+) -> tuple[SourceItem, Identity]:
     if isinstance(source, TriangleMesh):
-        data = np.ascontiguousarray(source.vertices, "<f8").tobytes()
-        data += np.ascontiguousarray(source.faces, "<i4").tobytes()
-        return SourceItem(source_name="triangles", path=Path("triangles")), data
+        corners = np.ascontiguousarray(source.vertices, "<f8").tobytes()
+        faces = np.ascontiguousarray(source.faces, "<i4").tobytes()
+        item = SourceItem(source_name="triangles", path=Path("triangles"))
+        return item, identity_of([corners, faces])
     if isinstance(source, SourceItem):
-        return source, source_bytes(source, most)
+        return source, source_identity(source, most)
     text = str(source)
     if text.startswith("shapes:") and not Path(text).exists():
         from bidexdata.objects.sources.shapes import named_shape
@@ -258,4 +260,4 @@ def _item_and_bytes(
         if not path.is_file():
             raise PathNotFound(path, "a mesh file or shapes:FAMILY")
         item = SourceItem(source_name=path.name, path=path)
-    return item, source_bytes(item, most)
+    return item, source_identity(item, most)

@@ -15,7 +15,7 @@ from bidexdata.objects.storage import read_document, write_object
 from bidexdata.record import Status
 from bidexdata.runs.executors import TaskFailure, run_tasks
 from bidexdata.runs.import_scan import MEMORY_GIB, FileRow
-from bidexdata.runs.object_folders import index_columns, is_made, remove_partials
+from bidexdata.runs.object_folders import index_columns, made_columns, remove_partials
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.stage import TaskExecution
 from bidexdata.runs.worker_limits import limit_memory
@@ -58,7 +58,7 @@ def make_objects(
     ids = sorted(sources)
     remove_partials(library)
     folders, config = {i: library / object_folder(i) for i in ids}, _config()
-    missing = [i for i in ids if not is_made(folders[i], sources[i].sha256, config)]
+    missing = [i for i in ids if made_columns(folders[i], sources[i].sha256, config=config) is None]
     failures: dict[str, tuple[Status, str]] = {}
     work = partial(_make_object, form.name, str(library))
     how: dict[str, Any] = {"executor": execution.executor, "workers": execution.workers}

@@ -7,7 +7,7 @@ the same inputs and configuration give the same bytes.
 
 from __future__ import annotations
 
-import hashlib
+import contextlib
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,14 +17,15 @@ from typing import Any, TypeVar
 
 from bidexdata import __version__
 from bidexdata.config import differing_keys, to_plain
-from bidexdata.errors import BidexError, ConfigConflict, NotUsable
+from bidexdata.errors import BidexError, ConfigConflict, Contradiction, NotUsable
 from bidexdata.kinds import INDEX, OBJECTS, REPORT, kind_of
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.identity import object_id_of, source_bytes
+from bidexdata.objects.identity import object_id_of, source_identity
 from bidexdata.objects.library import (
     Library,
     failures_of,
+    left_out_of,
     object_folder,
     warnings_of,
     write_index,
@@ -38,7 +39,7 @@ from bidexdata.record.status import Status
 from bidexdata.runs.executors import TaskFailure, check_executor, run_tasks
 from bidexdata.runs.left_out import leave_out, reason_row
 from bidexdata.runs.library_report import append_time, write_report
-from bidexdata.runs.object_folders import index_columns, is_made, remove_partials
+from bidexdata.runs.object_folders import index_columns, made_columns, remove_partials
 from bidexdata.runs.plan import take_shard
 from bidexdata.runs.prepare_parts import Parts, Row
 from bidexdata.runs.progress import Progress
@@ -61,6 +62,8 @@ class PrepareTask:
     sha256: str
     library: Path
     config: PrepareConfig
+    content: str = ""
+    """What its folder hashes to by the index of an earlier call, if there is one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +115,7 @@ class PrepareReport:
             "no_longer": list(self.no_longer),
             "by_status": self.by_status,
             "failures": failures_of(self.rows),
+            "left_out": left_out_of(self.rows),
             "warnings": warnings_of(self.rows),
             "waiting": self.waiting,
             "seconds": round(self.seconds, 3),
@@ -139,7 +143,7 @@ def prepare_library(
         config: Every tolerance and bound.
         limit: Only the first so many inputs.
         dry_run: List the inputs and write nothing. With bounds on shapes (`select`) every input is
-            read and repaired, to tell which would be left out.
+            read and repaired, to tell which would be left out; near duplicates are not looked for.
         executor: `processes`, `inline` (no limits of memory and time) or `ray`.
         workers: Number of workers; 0 means one per core.
         shard: Part i of n of the inputs, i from 0. Several machines may prepare one folder; the
@@ -156,7 +160,8 @@ def prepare_library(
     items = resolve_sources(sources)[: None if limit is None else max(limit, 0)]
     _check_out(out, config)
     items = fetched(items)
-    rows, tasks = _plan(items, out, config)
+    earlier = _earlier(out)
+    rows, tasks = _plan(items, out, config, _contents(earlier))
     mine = take_shard(range(len(items)), shard)
     my_tasks = {n: tasks[n] for n in mine if n in tasks}
     if dry_run:
@@ -166,30 +171,33 @@ def prepare_library(
 
     parts = Parts(out, rows, _asked(config))
     remove_partials(out)
-    there = {n for n, t in my_tasks.items() if _complete(t)}
+    known = {n: columns for n, t in my_tasks.items() if (columns := _made(t)) is not None}
+    there = set(known)
     for number, failure in parts.failures().items():
-        if number in my_tasks and number not in there and failure["status"] not in _TRY_AGAIN:
+        if number in my_tasks and number not in known and failure["status"] not in _TRY_AGAIN:
             rows[number].update(failure)
             there.add(number)
     to_do = {n: t for n, t in my_tasks.items() if n not in there}
     _work(to_do, rows, prepare_one, config, executor, workers, quiet=quiet, already=len(there))
     if shard is not None:
         parts.write(shard, {n: rows[n] for n in my_tasks if rows[n]["status"] != Status.OK})
-    waiting = _settle_others({n: t for n, t in tasks.items() if n not in my_tasks}, rows, parts)
-    known = mine if waiting else range(len(items))
-    folders = {n: _folder(tasks[n]) for n in known if rows[n]["status"] == Status.OK}
+    others = {n: t for n, t in tasks.items() if n not in my_tasks}
+    waiting = _settle_others(others, rows, parts, known)
+    settled = mine if waiting else range(len(items))
+    folders = {n: _folder(tasks[n]) for n in settled if rows[n]["status"] == Status.OK}
     for number, folder in folders.items():
-        rows[number].update(index_columns(folder))
+        rows[number].update(known[number] if number in known else index_columns(folder))
     gone: set[str] = set()
     if not waiting:
-        gone = _listed(out) - {str(r.get("object_id", "")) for r in rows}
+        before = set(earlier.object_ids) if earlier else set()
+        gone = before - {str(r.get("object_id", "")) for r in rows}
         rows = leave_out(rows, folders, config.select)
         write_index(out, rows, _identity(config), _asked(config))
         write_report(out, rows)
         parts.remove()
     return PrepareReport(
         library=out,
-        rows=tuple(rows[n] for n in known),
+        rows=tuple(rows[n] for n in settled),
         resumed=len(folders.keys() - to_do.keys()),
         made=len(to_do),
         seconds=time.monotonic() - start,
@@ -199,12 +207,18 @@ def prepare_library(
     )
 
 
-def _listed(out: Path) -> set[str]:
-    """Objects of the index of an earlier call; none where it cannot be read."""
+def _earlier(out: Path) -> Library | None:
+    """The library as an earlier call left it; None without an index that can be read."""
     try:
-        return set(Library.open(out).object_ids)
+        return Library.open(out)
     except BidexError:
-        return set()
+        return None
+
+
+def _contents(earlier: Library | None) -> dict[str, str]:
+    """What the files of each object hash to by an index, also of those that a selection left out."""
+    rows = earlier.index.to_pylist() if earlier else []
+    return {r["object_id"]: r["content_sha256"] for r in rows if r["content_sha256"]}
 
 
 def prepare_one(task: PrepareTask) -> Row:
@@ -215,7 +229,7 @@ def prepare_one(task: PrepareTask) -> Row:
     """
     started = time.monotonic()
     made, row = _within_limits(task, _made_and_drawn)
-    if made is not None and not _complete(task):  # by another machine, meanwhile
+    if made is not None and _made(task) is None:  # else it was made by another machine, meanwhile
         obj, picture = made
         write_object(_folder(task), obj, _identity(task.config), {THUMBNAIL: picture})
     return {**row, SECONDS: time.monotonic() - started}
@@ -248,7 +262,7 @@ def _within_limits(
 
 
 def _plan(
-    items: Sequence[SourceItem], out: Path, config: PrepareConfig
+    items: Sequence[SourceItem], out: Path, config: PrepareConfig, contents: Mapping[str, str]
 ) -> tuple[list[Row], dict[int, PrepareTask]]:
     """One row per input, and a task for each that is not a duplicate or unreadable."""
     rows: list[Row] = []
@@ -266,22 +280,23 @@ def _plan(
         }
         rows.append(row)
         try:
-            data = source_bytes(item, config.load.max_bytes)
+            sha256, size = source_identity(item, config.load.max_bytes)
         except PrepareFailure as failure:
             row.update(reason_row(failure.status, failure.reason))
             continue
-        sha256, object_id = hashlib.sha256(data).hexdigest(), object_id_of(item, data)
-        row.update(object_id=object_id, source_sha256=sha256, source_bytes=len(data))
+        object_id = object_id_of(item, sha256)
+        row.update(object_id=object_id, source_sha256=sha256, source_bytes=size)
+        not_wanted = unwanted(item.category, config.select)
+        if not_wanted:
+            row.update(reason_row(Status.NOT_SELECTED, not_wanted))
+            continue
         if sha256 in first:
             row.update(reason_row(Status.DUPLICATE, f"same bytes as {first[sha256]}"))
             row["duplicate_of"] = first[sha256]
             continue
         first[sha256] = object_id
-        not_wanted = unwanted(item.category, config.select)
-        if not_wanted:
-            row.update(reason_row(Status.NOT_SELECTED, not_wanted))
-            continue
-        tasks[number] = PrepareTask(item, object_id, sha256, out.resolve(), config)
+        content = contents.get(object_id, "")
+        tasks[number] = PrepareTask(item, object_id, sha256, out.resolve(), config, content)
     return rows, tasks
 
 
@@ -329,17 +344,23 @@ def _run(
             yield number, reason_row(Status.CRASHED, result.reason)
 
 
-def _settle_others(others: Mapping[int, PrepareTask], rows: list[Row], parts: Parts) -> int:
-    """Put the failures of other parts into their rows; count the inputs that are not settled."""
+def _settle_others(
+    others: Mapping[int, PrepareTask], rows: list[Row], parts: Parts, known: dict[int, Row]
+) -> int:
+    """Count the inputs of other parts that are not settled.
+
+    What is known of the rest goes into their rows, the columns of their objects into `known`.
+    """
     if not others:
         return 0
     failures = parts.failures()
     there = {n for n, t in others.items() if _folder(t).is_dir()}
     waiting = others.keys() - there - failures.keys()
-    if not waiting:  # a cut or foreign folder counts as none; looking inside takes long
-        whole = {n for n in there if _complete(others[n])}
-        waiting = others.keys() - whole - failures.keys()
-        for number in others.keys() - whole - waiting:
+    if not waiting:  # a cut, damaged or foreign folder counts as none; looking inside takes long
+        whole = {n: columns for n in there if (columns := _made(others[n])) is not None}
+        known.update(whole)
+        waiting = others.keys() - whole.keys() - failures.keys()
+        for number in others.keys() - whole.keys() - waiting:
             rows[number].update(failures[number])
     return len(waiting)
 
@@ -348,8 +369,9 @@ def _folder(task: PrepareTask) -> Path:
     return task.library / object_folder(task.object_id)
 
 
-def _complete(task: PrepareTask) -> bool:
-    return is_made(_folder(task), task.sha256)
+def _made(task: PrepareTask) -> Row | None:
+    """Columns of the object's folder; None where it has to be made."""
+    return made_columns(_folder(task), task.sha256, content=task.content)
 
 
 def _check_out(out: Path, config: PrepareConfig) -> None:
@@ -365,12 +387,17 @@ def _check_out(out: Path, config: PrepareConfig) -> None:
         kind = kind_of(out)
         what = f"holds {sorted(foreign)[0]}" if kind in ("nothing", "library") else f"is a {kind}"
         raise NotUsable(f"{out} {what} and is no folder for a library; choose another --out")
-    known = next((out / OBJECTS).glob("*/*/object.json"), None)
-    if known is None:
-        return
-    before, now = read_document(known.parent).get("config"), _identity(config)
+    before, now = _made_with(out), _identity(config)
     if before is not None and before != now:
         raise ConfigConflict(out, differing_keys(before, now))
+
+
+def _made_with(out: Path) -> Any:
+    """The configuration that made a library, by one of its objects; None where none can be read."""
+    for path in (out / OBJECTS).glob("[!.]*/[!.]*/object.json"):
+        with contextlib.suppress(Contradiction):  # a cut one is made again
+            return read_document(path.parent).get("config")
+    return None
 
 
 def _identity(config: PrepareConfig) -> dict[str, Any]:

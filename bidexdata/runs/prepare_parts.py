@@ -27,6 +27,8 @@ Failure = Mapping[str, Any]
 """The columns of the index that say why an input gave no object."""
 
 _COLUMNS = ("status", "status_label", "reason")
+_NOT_OF_ITSELF = (Status.OK, Status.DUPLICATE, Status.NEAR_DUPLICATE)
+"""Statuses that are no failures or that depend on the other inputs, which may be others now."""
 
 
 class Parts:
@@ -84,9 +86,10 @@ class Parts:
             self._asked
         ).encode():
             return {}
-        rows = {(r["object_id"], r["source_sha256"]): r for r in index.to_pylist()}
+        failed = (r for r in index.to_pylist() if r["status"] not in _NOT_OF_ITSELF)
+        rows = {(r["object_id"], r["source_sha256"]): r for r in failed}
         known = ((n, rows.get(key)) for n, key in enumerate(self._inputs))
-        return {n: _failure(r) for n, r in known if r is not None and r["status"] != Status.OK}
+        return {n: _failure(r) for n, r in known if r is not None}
 
 
 def _failure(row: Mapping[str, Any]) -> Failure:

@@ -216,8 +216,17 @@ def test_a_dry_run_lists_the_inputs_and_writes_nothing(
         "2",
     ]
     assert run(arguments) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == "2 inputs (2 ok); nothing was written"
+    *_, not_counted, last = capsys.readouterr().out.splitlines()
+    assert not_counted.startswith("near duplicates are not counted")
+    assert last == "2 inputs (2 ok); nothing was written"
     assert not (tmp_path / "lib").exists()
+    wanted = ["--set", "select.without_categories=[box]", "--json"]
+    assert run([*arguments, *wanted]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert [left["source_name"] for left in data["left_out"]] == ["shapes:box/0", "shapes:box/1"]
+    assert {left["status"] for left in data["left_out"]} == {"not_selected"}
+    assert "select.without_categories" in data["left_out"][0]["reason"]
+    assert data["failures"] == []
 
 
 def test_an_empty_folder_is_not_said_to_be_missing(tmp_path: Path, capsys: pytest.CaptureFixture):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import base64
+import json
 from pathlib import Path
 
 import numpy as np
 
+from bidexdata.objects.glb import write_glb
 from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.runs.library_report import TIMES
 
@@ -22,6 +25,22 @@ def write_obj(path: Path, mesh: TriangleMesh) -> Path:
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
     lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh.faces.tolist()]
     path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def write_gltf(path: Path, mesh: TriangleMesh, buffer: str = "") -> Path:
+    """Write a text glTF; its numbers go into the file `buffer` beside it, or into a data URI."""
+    data = write_glb(mesh)
+    end = 20 + int.from_bytes(data[12:16], "little")
+    document, numbers = json.loads(data[20:end]), data[end + 8 :]
+    uri = "data:application/octet-stream;base64," + base64.b64encode(numbers).decode()
+    if buffer:
+        (path.parent / buffer).write_bytes(numbers)
+    document["buffers"][0]["uri"] = buffer or uri
+    for accessor in document["accessors"]:  # else the text would tell one shape from another
+        accessor.pop("min", None)
+        accessor.pop("max", None)
+    path.write_text(json.dumps(document))
     return path
 
 

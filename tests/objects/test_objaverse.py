@@ -210,6 +210,15 @@ def test_an_index_that_is_not_there_is_one_sentence(cache, name):
     assert "\n" not in str(caught.value)
 
 
+def test_a_damaged_index_is_one_sentence(cache):
+    path = cache / "object-paths.json.gz"
+    data = bytearray(path.read_bytes())
+    data[10] ^= 0xFF  # the first byte after the header of gzip
+    path.write_bytes(data)
+    with pytest.raises(NotUsable, match="cannot be read from the download cache"):
+        resolve_sources(["objaverse:random=2"])
+
+
 def test_a_file_that_the_server_refuses_costs_that_object_alone(cache, package, monkeypatch):
     whole = package.load_objects
 

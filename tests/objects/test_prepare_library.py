@@ -14,9 +14,10 @@ from mesh_files import library_files as files
 from mesh_files import mixed_folder
 
 from bidexdata.errors import ConfigConflict, NotUsable
-from bidexdata.objects.config import LimitsConfig, PrepareConfig, SdfConfig
+from bidexdata.objects.config import LimitsConfig, PrepareConfig, SdfConfig, SelectConfig
 from bidexdata.objects.library import Library
 from bidexdata.record.status import Status
+from bidexdata.runs import object_folders
 from bidexdata.runs.prepare import PrepareReport, prepare_library
 
 
@@ -100,6 +101,90 @@ def test_a_folder_cut_short_is_made_again(tmp_path, meshes, small):
     (Library.open(out).folder(report.rows[0]["object_id"]) / "pieces.npz").unlink()
     assert run([meshes], out, small).resumed == 1
     assert files(out) == before
+
+
+def test_a_cut_or_damaged_object_is_made_again_and_stops_nothing(tmp_path, meshes, small):
+    out = tmp_path / "lib"
+    report = run([meshes], out, small)
+    before = files(out)
+    folder = Library.open(out).folder(report.rows[0]["object_id"])
+    for name, data in (
+        ("object.json", b""),
+        ("object.json", b"[]"),
+        ("object.json", b'{"schema_version": "1.0"}'),
+        ("object.json", (folder / "object.json").read_bytes()[:-9]),
+        ("geometry.npz", b"damaged"),
+        ("mesh.glb", (folder / "mesh.glb").read_bytes()[:-1] + b"!"),
+    ):
+        (folder / name).write_bytes(data)
+        again = run([meshes], out, small)
+        assert (again.made, again.resumed) == (1, 1), name
+        assert files(out) == before
+
+
+def test_a_damaged_object_that_a_selection_left_out_is_seen(tmp_path, meshes, small):
+    out = tmp_path / "lib"
+    report = run([meshes], out, small)
+    folder = Library.open(out).folder(report.rows[0]["object_id"])
+    none = replace(small, select=SelectConfig(max_aspect=1.0))
+    run([meshes], out, none)
+    (folder / "geometry.npz").write_bytes(b"damaged")
+    assert run([meshes], out, small).fingerprint == report.fingerprint
+
+
+def test_what_a_killed_writer_leaves_stops_nothing_and_goes(tmp_path, meshes, small):
+    out, whole = tmp_path / "lib", tmp_path / "whole"
+    run([meshes], whole, small)
+    mark = f"{socket.gethostname()}.{dead_process()}"
+    partial = out / "objects" / "00" / f".box-00000000.{mark}.partial"
+    partial.mkdir(parents=True)
+    (partial / "object.json").write_text('{"schema_version": "1.0", "config": {"other": 1}}')
+    left = [out / f".report.html.{mark}.tmp", out / f".index.parquet.{mark}.partial"]
+    left += [out / ".times" / f".times.js.{mark}.tmp", out / ".parts" / "x" / f".0.json.{mark}.tmp"]
+    for path in left:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    run([meshes], out, small, limit=1)
+    assert not any(path.exists() for path in (*left, partial))
+    # A library that is whole loses them too.
+    left[0].touch()
+    run([meshes], out, small)
+    assert files(out) == files(whole)
+
+
+def test_each_object_folder_is_hashed_once(tmp_path, meshes, small, monkeypatch):
+    out = tmp_path / "lib"
+    run([meshes], out, small)
+    hashed = []
+    real = object_folders.content_sha256
+    monkeypatch.setattr(
+        object_folders, "content_sha256", lambda folder: (hashed.append(folder), real(folder))[1]
+    )
+    assert run([meshes], out, small).made == 0
+    assert len(hashed) == len(set(hashed)) == 2
+
+
+def test_a_copy_of_what_is_not_wanted_is_no_duplicate(tmp_path, meshes, small):
+    (meshes / "INDEX.csv").write_text("file,category\na_box.stl,car\nb_copy.stl,mug\n")
+    wanted = replace(small, select=SelectConfig(categories=("mug",)))
+    first, second, *_ = run([meshes], tmp_path / "lib", wanted, limit=2).rows
+    assert (first["status_label"], second["status_label"]) == ("not_selected", "ok")
+
+
+def test_a_copy_is_made_once_the_first_is_gone(tmp_path, meshes, small):
+    out = tmp_path / "lib"
+    run([meshes], out, small)
+    (meshes / "a_box.stl").unlink()
+    assert run([meshes], out, small).rows[0]["status_label"] == "ok"
+
+
+def test_a_failure_stays_what_it_was_beside_its_copy(tmp_path, small):
+    for name in ("a", "b"):  # copies of one name have one id
+        (tmp_path / "meshes" / name).mkdir(parents=True)
+        (tmp_path / "meshes" / name / "points.obj").write_text("v 0 0 0\nv 1 0 0\n")
+    for _ in range(2):
+        report = run([tmp_path / "meshes"], tmp_path / "lib", small)
+        assert [r["status_label"] for r in report.rows] == ["no_faces", "duplicate"]
 
 
 def test_another_configuration_is_refused_with_the_key_that_differs(tmp_path, meshes, small):

@@ -121,6 +121,19 @@ def test_a_cut_object_of_another_part_is_waited_for(tmp_path, meshes, small, sin
     assert files(out) == single
 
 
+def test_a_damaged_object_of_another_part_is_waited_for(tmp_path, meshes, small, single):
+    out = tmp_path / "lib"
+    part(meshes, out, small, None)
+    damaged = next(out.rglob("geometry.npz"))
+    damaged.write_bytes(b"damaged")
+    # It belongs to one of the two parts: the library is whole when both went over it.
+    for i in range(2):
+        part(meshes, out, small, (i, 2))
+    for i in range(2):
+        assert part(meshes, out, small, (i, 2)).waiting == 0
+    assert files(out) == single
+
+
 def test_parts_of_other_inputs_or_another_configuration_say_nothing(tmp_path, meshes, small):
     out = tmp_path / "lib"
     failing = tmp_path / "failing"

@@ -516,18 +516,18 @@ def test_a_link_out_of_a_named_folder_is_a_row_and_not_read(tmp_path, box):
 
 
 def test_a_pipe_called_a_mesh_is_refused_and_not_waited_for(tmp_path, box):
-    from bidexdata.objects.identity import source_bytes
+    from bidexdata.objects.identity import source_identity
 
     os.mkfifo(tmp_path / "a.stl")
     (item,) = resolve_sources([str(tmp_path)])
     with pytest.raises(PrepareFailure, match="not a regular file"):
-        source_bytes(item, 10**6)
+        source_identity(item, 10**6)
 
 
 def test_a_file_above_the_size_bound_is_not_read(tmp_path, box):
-    from bidexdata.objects.identity import source_bytes
+    from bidexdata.objects.identity import source_identity
 
     (item,) = resolve_sources([str(write_stl(tmp_path / "a.stl", box))])
     with pytest.raises(PrepareFailure, match=r"load\.max_bytes") as caught:
-        source_bytes(item, 100)
+        source_identity(item, 100)
     assert caught.value.status == Status.TOO_COMPLEX

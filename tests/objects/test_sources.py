@@ -41,10 +41,10 @@ def test_a_folder_is_searched_to_the_bottom_in_byte_order(tree):
 
 
 def test_a_glob_takes_what_matches_in_byte_order(tree):
-    assert [Path(n).name for n in names(f"{tree}/*.obj")] == ["b.obj"]
-    assert [Path(n).name for n in names(f"{tree}/**/*.*")] == [
-        *("Z.off", "a.STL", "b.obj", "d.PLY", "c.glb")
-    ]
+    assert names(f"{tree}/*.obj") == ["b.obj"]
+    # The names are those that the folder gives: where it lies is no part of them.
+    assert names(f"{tree}/**/*.*") == names(tree)
+    assert names(f"{tree}/deep/*/*.glb") == ["er/c.glb"]
 
 
 def test_a_file_named_twice_comes_once(tree):
@@ -79,6 +79,50 @@ def test_an_index_in_or_beside_a_folder_describes_its_files(tree, place):
     assert resolve_sources([str(tree / "b.obj")])[0].licence == "CC0-1.0"
 
 
+@pytest.mark.parametrize(
+    "spoilt",
+    [
+        b"name,licence\nb.obj,MIT\n",
+        b"\xff\xfe",
+        b"file,licence\nb.obj," + b"x" * 140_000,
+        b"file,licence\nb.obj,MIT\n" + b"#" * 1000,
+        "link",
+        "loop",
+    ],
+)
+def test_an_index_that_cannot_be_used_is_one_warning(tree, spoilt, caplog, monkeypatch):
+    monkeypatch.setattr(
+        "bidexdata.objects.sources.lists._MOST", 200_000 if len(spoilt) > 9999 else 500
+    )
+    path = tree / "INDEX.csv"
+    if isinstance(spoilt, bytes):
+        path.write_bytes(spoilt)
+    else:
+        (tree.parent / "secret").write_text("file,licence\nb.obj,secret\n")
+        path.symlink_to(tree.parent / "secret" if spoilt == "link" else path)
+    for source in (tree, f"{tree}/*.obj"):
+        caplog.clear()
+        assert {i.licence for i in resolve_sources([str(source)])} == {"unknown"}
+        (warning,) = caplog.records
+        assert "INDEX.csv: not used" in warning.getMessage()
+
+
+def test_a_list_beside_many_folders_is_read_once(tree, monkeypatch):
+    read = []
+
+    def counted(folder):
+        read.append(folder)
+        return {}
+
+    for k in range(5):
+        (tree / f"{k}").mkdir()
+        (tree / f"{k}" / "a.obj").touch()
+    (tree / "INDEX.csv").touch()
+    monkeypatch.setattr("bidexdata.objects.sources.files.side_list", counted)
+    assert len(names(f"{tree}/[0-9]/*.obj")) == 5
+    assert read == [tree]
+
+
 def test_what_does_not_exist_is_named(tree):
     for source in (tree / "no.obj", f"{tree}/*.dae", tree / "nowhere"):
         with pytest.raises(PathNotFound, match=re.escape(str(source))):
@@ -93,6 +137,9 @@ def test_bad_lists_are_named(tree):
         (tree / "bad.csv").write_text(text)
         with pytest.raises(NotUsable, match="file"):
             names(tree / "bad.csv")
+    (tree / "bad.csv").write_text(f"file\n{'x' * 140_000}\n")
+    with pytest.raises(NotUsable, match="not a table"):
+        names(tree / "bad.csv")
     (tree / "bad.txt").write_bytes("b.obj".encode("utf-16"))
     with pytest.raises(NotUsable, match="UTF-8"):
         names(tree / "bad.txt")
@@ -133,13 +180,17 @@ def test_numbered_shapes_differ_and_are_the_same_every_time():
         ("duck/model.obj", "duck"),
         ("x" * 200 + ".stl", "x" * 48),
         ("a/b/c.glb", "c"),
+        ("model.obj", "model"),
+        ("../model.obj", "model"),
+        ("/meshes/model.obj", "model"),
     ],
 )
-def test_object_ids_are_slugs_of_telling_names_and_a_hash(name, slug):
-    item = SourceItem(source_name=name, path=Path("/data") / name)
-    made = object_id_of(item, b"bytes")
-    assert re.fullmatch(r"[a-z0-9_-]{1,48}-[0-9a-f]{8}", made)
-    assert made == f"{slug}-277089d9"
+def test_object_ids_are_slugs_of_telling_names_and_a_hash_wherever_the_file_lies(name, slug):
+    for place in ("/data", "/home/someone/private"):
+        item = SourceItem(source_name=name, path=Path(place) / name)
+        made = object_id_of(item, "277089d9" + 56 * "0")
+        assert re.fullmatch(r"[a-z0-9_-]{1,48}-[0-9a-f]{8}", made)
+        assert made == f"{slug}-277089d9"
 
 
 def test_prepare_object_names_a_missing_file(tmp_path):

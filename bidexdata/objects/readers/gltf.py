@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import struct
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
@@ -47,6 +49,8 @@ _READABLE = frozenset(
 _COMPONENT = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_URI = re.compile(rb'"uri"\s{0,99}:\s{0,99}("[^"]{1,1000}")')
+_PICTURES = (".basis", ".bmp", ".dds", ".gif", ".jpeg", ".jpg", ".ktx2", ".png", ".tga", ".webp")
 
 
 def read_gltf(path: Path, data: bytes, config: LoadConfig) -> Content:
@@ -70,6 +74,32 @@ def read_gltf(path: Path, data: bytes, config: LoadConfig) -> Content:
     parts = [p._replace(T_world_part=T) for m, T in places for p in meshes[m]]
     warnings = ("it has a skeleton: prepared in the pose that is stored",) * ("skins" in document)
     return Content(joined_parts(parts, config), R_WORLD_Y_UP, 1.0, warnings)
+
+
+def named_buffers(blocks: Iterable[bytes]) -> list[str]:
+    """Relative paths of the files that a glTF file names, but for pictures.
+
+    Its JSON is searched and not parsed: what it becomes in memory has no bound but a worker's.
+
+    Args:
+        blocks: The bytes of the file, in order.
+    """
+    found: dict[str, None] = {}
+    before = b""
+    for block in blocks:
+        text = before + block
+        if b'"uri"' in text:
+            found |= dict.fromkeys(_unquoted(name) for name in _URI.findall(text))
+        before = text[-2048:]  # more than the longest match
+    return [name for name in found if name and not name.lower().endswith(_PICTURES)]
+
+
+def _unquoted(text: bytes) -> str:
+    """The path that a string of JSON means as a URI; empty where it is none."""
+    try:
+        return unquote(json.loads(text))
+    except ValueError:
+        return ""
 
 
 class _File(NamedTuple):

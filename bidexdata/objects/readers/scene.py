@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,7 +38,8 @@ def placed(
         PrepareFailure: A node contains itself, or there are more places than the bound.
     """
     below: dict[Any, list[Place]] = {}
-    total = sum(_places(root.node, children, is_leaf, below, {}) for root in roots)
+    count: dict[Any, int] = {}
+    total = sum(_places(root.node, children, is_leaf, below, count) for root in roots)
     check_instances(total, config)
     found: list[Place] = []
     waiting = list(reversed(roots))
@@ -58,24 +59,27 @@ def _places(
     below: dict[Any, list[Place]],
     count: dict[Any, int],
 ) -> int:
-    """Nodes that the layout would visit below a root, however often each is placed."""
-    open_: set[Any] = set()
-    waiting = [root]
-    while waiting:
-        node = waiting[-1]
-        if node in count:
-            waiting.pop()
-            continue
-        if node not in below:
-            open_.add(node)
-            below[node] = [] if is_leaf(node) else list(children(node))
-        missing = [p.node for p in below[node] if p.node not in count]
-        if any(n in open_ for n in missing):
+    """Nodes that the layout would visit below a root, however often each is placed.
+
+    Fills in `below` and `count` for every node that is reached; each place is looked at once.
+    """
+    open_: dict[Any, Iterator[Place]] = {}
+    """Nodes from the root to where the search is, with the places not looked at yet."""
+
+    def enter(node: Any) -> None:
+        below[node] = [] if is_leaf(node) else list(children(node))
+        open_[node] = iter(below[node])
+
+    if root not in count:
+        enter(root)
+    while open_:
+        node, rest = next(reversed(open_.items()))
+        child = next((p.node for p in rest if p.node not in count), None)
+        if child is None:
+            count[node] = 1 + sum(count[p.node] for p in below[node])
+            open_.popitem()
+        elif child in open_:
             raise unreadable("a node of its scene contains itself")
-        if missing:
-            waiting.append(missing[0])
-            continue
-        count[node] = 1 + sum(count[p.node] for p in below[node])
-        open_.discard(node)
-        waiting.pop()
+        else:
+            enter(child)
     return count[root]

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import functools
 import glob
+import logging
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from bidexdata.errors import PathNotFound
+from bidexdata.errors import NotUsable, PathNotFound
+from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.readers import SUFFIXES
-from bidexdata.objects.readers.inside import lies_inside
+from bidexdata.objects.readers.inside import lies_inside, real_path
 from bidexdata.objects.sources.item import SourceItem
 from bidexdata.objects.sources.lists import SIDE_LIST, side_list
+
+_Known = Mapping[str, Mapping[str, Any]]
+"""Origin of each file that a list names."""
+_log = logging.getLogger(__name__)
 
 
 def file_items(path: Path) -> list[SourceItem]:
@@ -22,7 +29,7 @@ def file_items(path: Path) -> list[SourceItem]:
     Raises:
         PathNotFound: It does not exist.
     """
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise PathNotFound(path, f"a mesh file ({', '.join(SUFFIXES)}), a folder, a glob or a list")
     return described([SourceItem(source_name=path.name, path=path)], path.parent)
 
@@ -53,16 +60,27 @@ def folder_items(folder: Path) -> list[SourceItem]:
 def glob_items(pattern: str) -> list[SourceItem]:
     """All mesh files that match a glob (`**` for any depth), in byte order of their paths.
 
+    Their names are relative to the folder that the glob begins with, as those of a folder are.
+
     Raises:
         PathNotFound: Nothing matches.
     """
     found = [Path(p) for p in glob.glob(pattern, recursive=True) if _is_mesh(p)]
-    found = [p for p in found if p.is_file()]
+    found = [p for p in found if not os.path.isdir(p)]
     if not found:
         raise PathNotFound(pattern, f"matching mesh files ({', '.join(SUFFIXES)})")
-    items = [SourceItem(source_name=p.as_posix(), path=p) for p in found]
+    top = _fixed_folder(pattern)
+    items = [SourceItem(source_name=p.relative_to(top).as_posix(), path=p) for p in found]
     items.sort(key=byte_order)
-    return [described([item], item.path.parent)[0] for item in items if item.path]
+    known_in = functools.cache(_known_in)  # a list beside many folders is read once
+    return [described([item], item.path.parent, known_in)[0] for item in items if item.path]
+
+
+def _fixed_folder(pattern: str) -> Path:
+    """The folders that a glob begins with, up to its first `*`, `?` or `[`."""
+    parts = Path(pattern).parts
+    magic = next(n for n, part in enumerate(parts) if glob.has_magic(part))
+    return Path(*parts[:magic])
 
 
 def leaving(paths: Iterable[Path], folder: Path) -> str:
@@ -80,18 +98,39 @@ def leaving(paths: Iterable[Path], folder: Path) -> str:
     return ""
 
 
-def described(items: list[SourceItem], folder: Path) -> list[SourceItem]:
-    """Add what an `INDEX.csv` in the folder or beside it says of the files."""
-    for place in (folder, folder.resolve().parent):
-        if (place / SIDE_LIST).is_file():
-            known = side_list(place / SIDE_LIST)
+def described(
+    items: list[SourceItem],
+    folder: Path,
+    known_in: Callable[[Path], _Known | None] | None = None,
+) -> list[SourceItem]:
+    """Add what an `INDEX.csv` in the folder or beside it says of the files.
+
+    Args:
+        items: Inputs that have files.
+        folder: Where they lie.
+        known_in: What a folder's list says, where the caller keeps what was read.
+    """
+    for place in (folder, real_path(folder).parent):
+        known = (known_in or _known_in)(place)
+        if known is not None:
             return [_with_origin(item, known, place) for item in items]
     return items
 
 
-def _with_origin(item: SourceItem, known: dict[str, dict[str, Any]], place: Path) -> SourceItem:
+def _known_in(place: Path) -> _Known | None:
+    """What the list in a folder says; None where there is none, or none that can be used."""
+    if not os.path.lexists(place / SIDE_LIST):
+        return None
+    try:
+        return side_list(place)
+    except (NotUsable, PrepareFailure) as err:  # it came with the files: they are what is wanted
+        _log.warning("%s: not used for licences and categories: %s", place / SIDE_LIST, err)
+        return None
+
+
+def _with_origin(item: SourceItem, known: _Known, place: Path) -> SourceItem:
     assert item.path is not None
-    inside = os.path.relpath(item.path.resolve(), place.resolve())
+    inside = os.path.relpath(real_path(item.path), real_path(place))
     own = PurePosixPath(item.source_name).name
     names = (Path(inside).as_posix(), item.source_name, item.path.name, own)
     row = next((known[name] for name in names if name in known), None)

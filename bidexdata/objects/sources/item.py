@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from bidexdata.wording import storable
+
 UNKNOWN = "unknown"
 """Licence, author or source that nobody stated."""
 
@@ -36,3 +38,7 @@ class SourceItem:
     """How the source scaled and placed the object, a word of docs/sources.md; empty: not said."""
     problem: str = ""
     """Why the input cannot be read, where listing it told; it becomes a report row."""
+
+    def __post_init__(self):
+        for name in ("source_name", "source", "licence", "author", "category", "problem"):
+            object.__setattr__(self, name, storable(getattr(self, name)))

@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from bidexdata.errors import NotUsable
+from bidexdata.objects.readers.inside import file_inside
 from bidexdata.objects.sources.item import SourceItem
 
 SIDE_LIST = "INDEX.csv"
 """Name of a list that describes the files of a folder in which or beside which it lies."""
+_MOST = 1 << 26
+"""Size above which such a list is not read [bytes]."""
 _COLUMNS = ("source", "licence", "author", "category")
 _SPELLINGS = {"license": "licence", "path": "file", "filename": "file"}
 
@@ -26,7 +29,7 @@ def list_items(path: Path) -> list[SourceItem]:
         NotUsable: The list is no text, names nothing, or a `.csv` has no column `file`.
     """
     if path.suffix.lower() == ".csv":
-        rows = _rows(path)
+        rows = _rows(path, _text(path))
     else:
         rows = [{"file": line} for line in text_lines(path)]
     if not rows:
@@ -47,19 +50,30 @@ def text_lines(path: Path) -> list[str]:
     return [line for line in lines if line and not line.startswith("#")]
 
 
-def side_list(path: Path) -> dict[str, dict[str, Any]]:
-    """Origin of each file that a `.csv` list names, by the name it uses."""
-    return {row["file"]: _origin(row) for row in _rows(path)}
+def side_list(folder: Path) -> dict[str, dict[str, Any]]:
+    """Origin of each file that the list `INDEX.csv` in a folder names, by the name it uses.
+
+    Raises:
+        NotUsable: The list is no text, no table, or has no column `file`.
+        PrepareFailure: It is a link out of the folder, cannot be read or is too large.
+    """
+    path = folder / SIDE_LIST
+    text = _decoded(path, file_inside(folder, SIDE_LIST, _MOST))
+    return {row["file"]: _origin(row) for row in _rows(path, text)}
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
-    reader = csv.DictReader(io.StringIO(_text(path), newline=""))
-    names = [_SPELLINGS.get(n.strip().lower(), n.strip().lower()) for n in reader.fieldnames or []]
-    if "file" not in names:
-        raise NotUsable(f"{path}: a list needs a column `file`; it has: {', '.join(names)}")
-    reader.fieldnames = names
-    rows = ({k: (v or "").strip() for k, v in row.items() if k in names} for row in reader)
-    return [row for row in rows if row["file"]]
+def _rows(path: Path, text: str) -> list[dict[str, str]]:
+    try:
+        reader = csv.DictReader(io.StringIO(text, newline=""))
+        names = [n.strip().lower() for n in reader.fieldnames or []]
+        names = [_SPELLINGS.get(n, n) for n in names]
+        if "file" not in names:
+            raise NotUsable(f"{path}: a list needs a column `file`; it has: {', '.join(names)}")
+        reader.fieldnames = names
+        rows = ({k: (v or "").strip() for k, v in row.items() if k in names} for row in reader)
+        return [row for row in rows if row["file"]]
+    except csv.Error as err:
+        raise NotUsable(f"{path}: not a table ({err})") from err
 
 
 def _origin(row: dict[str, str]) -> dict[str, Any]:
@@ -68,6 +82,13 @@ def _origin(row: dict[str, str]) -> dict[str, Any]:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return _decoded(path, path.read_bytes())
+    except OSError as err:
+        raise NotUsable(f"{path}: cannot be read ({err.strerror})") from err
+
+
+def _decoded(path: Path, data: bytes) -> str:
+    try:
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as err:
         raise NotUsable(f"{path}: not a text file in UTF-8 ({err.reason})") from err

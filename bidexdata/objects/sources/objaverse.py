@@ -9,8 +9,10 @@ are wanted in the end, and what the cache holds is not fetched again.
 from __future__ import annotations
 
 import hashlib
+import os
 import sys
 import warnings
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import replace
@@ -107,7 +109,7 @@ def _parsed(request: str) -> dict[str, str]:
 
 def _listed(path: Path) -> list[str]:
     """The uids of a list, without the endings that file names have."""
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise PathNotFound(path, "a text file with one Objaverse uid per line")
     uids = [Path(line).name.removesuffix(".glb") for line in text_lines(path)]
     if not uids:
@@ -183,7 +185,7 @@ def _asked(what: str, call: Callable[[], _T], *, refusals: bool = False) -> _T:
         with redirect_stdout(sys.stderr), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # an unknown uid becomes a row
             return call()
-    except (OSError, EOFError, ValueError) as err:
+    except (OSError, EOFError, ValueError, zlib.error) as err:
         if refusals and isinstance(err, HTTPError):
             raise
         text = str(getattr(err, "reason", "") or err) or type(err).__name__

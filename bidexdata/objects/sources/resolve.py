@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import glob
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from bidexdata.errors import UnknownName
+from bidexdata.objects.readers.inside import real_path
 from bidexdata.objects.sources.files import file_items, folder_items, glob_items
 from bidexdata.objects.sources.item import SourceItem
 from bidexdata.objects.sources.lists import list_items
@@ -41,7 +43,7 @@ def resolve_sources(sources: Sequence[str]) -> list[SourceItem]:
     seen: set[tuple[Path | None, str | None, str]] = set()
     for source in sources:
         for item in _items_of(source):
-            key = (item.path.resolve() if item.path else None, item.shape, item.uid)
+            key = (real_path(item.path) if item.path else None, item.shape, item.uid)
             if key not in seen:
                 seen.add(key)
                 items.append(item)
@@ -50,12 +52,12 @@ def resolve_sources(sources: Sequence[str]) -> list[SourceItem]:
 
 def _items_of(source: str) -> list[SourceItem]:
     prefix, colon, rest = source.partition(":")
-    if prefix in _ADAPTERS and not Path(source).exists():
+    if prefix in _ADAPTERS and not os.path.exists(source):
         return _ADAPTERS[prefix](rest)
     path = Path(source)
-    if path.is_dir():
+    if os.path.isdir(path):
         return folder_items(path)
-    if path.is_file():
+    if os.path.isfile(path):
         return list_items(path) if path.suffix.lower() in _LISTS else file_items(path)
     if glob.has_magic(source):
         return glob_items(source)

@@ -60,7 +60,7 @@ def bodex_items(place: str) -> list[SourceItem]:
 
 def _dexgraspnet_item(folder: Path, name: str) -> SourceItem | None:
     """An object without its file is an input too: it becomes a report row."""
-    if not (folder / _DECOMPOSED[0]).is_dir():
+    if not os.path.isdir(folder / _DECOMPOSED[0]):
         return None
     path = folder.joinpath(*_DECOMPOSED)
     return SourceItem(
@@ -74,14 +74,14 @@ def _dexgraspnet_item(folder: Path, name: str) -> SourceItem | None:
 
 def _bodex_item(folder: Path, name: str) -> SourceItem | None:
     shown = folder.joinpath(*_SHOWN)
-    if not (folder / _PIECES[0]).is_dir() and not shown.is_file():
+    if not os.path.isdir(folder / _PIECES[0]) and not os.path.isfile(shown):
         return None
-    pieces = [p for p in folder.joinpath(*_PIECES).glob("*.obj") if p.is_file()]
+    pieces = [p for p in folder.joinpath(*_PIECES).glob("*.obj") if os.path.isfile(p)]
     return SourceItem(
         source_name=name,
         path=folder,
         pieces=tuple(sorted(pieces, key=os.fsencode)),
-        shown=shown if shown.is_file() else None,
+        shown=shown if os.path.isfile(shown) else None,
         normalisation=BOX_DIAGONAL,
         problem="" if pieces else f"no convex piece {'/'.join(_PIECES)}/*.obj",
         **_told_by(name),
@@ -95,7 +95,7 @@ def _tree(
     if not place:
         raise BadValue(f"{prefix}: names no folder; write {prefix}:PATH")
     top, items = Path(place), []
-    if not top.is_dir():
+    if not os.path.isdir(top):
         raise PathNotFound(top, f"a folder that holds {layout}")
     for root, folders, _ in os.walk(top):
         inside = Path(root).relative_to(top)
