@@ -50,6 +50,9 @@ def prepare(
     dexgraspnet: and bodex: keep the convex pieces of these projects' objects; objaverse: downloads
     what is not in the cache of its package (docs/sources.md).
 
+    Memory and time of every input are bounded (limits...) in worker processes, the default: the
+    executors inline and ray set no such bounds, so give them files that you trust.
+
     The same command goes on after a stop. With --shard several machines prepare one folder: give
     each the same inputs and another part; the part that finishes last writes the index, and the
     library is the one that a single machine makes.

@@ -16,6 +16,7 @@ from bidexdata.objects.physics import MassProperties, mass_properties
 from bidexdata.objects.prepared import PreparedObject, TriangleMesh
 from bidexdata.objects.rest import rest_poses
 from bidexdata.objects.sdf import signed_distance_grid
+from bidexdata.objects.simulated import check_simulated
 from bidexdata.objects.surface import surface_points
 from bidexdata.objects.traits import descriptor
 from bidexdata.record.status import Status
@@ -106,9 +107,16 @@ def assembled(
         display: The mesh to show, in the frame that the pieces came in.
         provenance: Where it is from.
         config: Bounds and resolutions.
+
+    Raises:
+        PrepareFailure: The simulator refuses a piece.
     """
+    check_simulated(solid.pieces)
     hull = as_mesh(convex_hull(solid.mesh.vertices))
     rest = rest_poses(Body(hull, solid.volume, solid.inertia), config.rest)
+    warnings = [*provenance.get("warnings", ())]
+    if not len(rest.heights):
+        warnings.append("no rest pose: it comes to rest on a table in no orientation")
     points, normals = surface_points(solid.mesh, config.surface)
     shape = [round(float(x), 6) for x in descriptor(points, solid.mesh)]
     display = _fewer_faces(display, config.repair.display_faces)
@@ -122,7 +130,7 @@ def assembled(
         rest_quats_wxyz=rest.quats_wxyz,
         rest_heights=rest.heights,
         rest_probabilities=rest.probabilities,
-        provenance={**provenance, "descriptor": shape},
+        provenance={**provenance, "warnings": warnings, "descriptor": shape},
         solid=solid.mesh,
         hull=hull,
         surface_points=points,

@@ -57,9 +57,12 @@ def convex_hull(points: NDArray[np.float64]) -> Manifold:
     return manifold3d.Manifold.hull_points(np.ascontiguousarray(points, np.float64))
 
 
+def principal_axes(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the unit vectors (3, 3) along which points (P, 3) spread most, less and least."""
+    return np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+
+
 def thinnest(points: NDArray[np.float64]) -> float:
     """Return the smallest extent of points (P, 3) along their principal axes."""
-    centred = points - points.mean(axis=0)
-    axes = np.linalg.svd(centred, full_matrices=False)[2]
-    along = centred @ axes.T
+    along = (points - points.mean(axis=0)) @ principal_axes(points).T
     return float(np.min(np.ptp(along, axis=0)))

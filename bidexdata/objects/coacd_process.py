@@ -24,8 +24,13 @@ from bidexdata.record.status import Status
 
 _log = logging.getLogger(__name__)
 
-_WALL_PER_CPU = 10.0
-"""Wall-clock seconds granted per CPU second: the machine may be busy with other work."""
+_WALL_PER_CPU = 3.0
+"""Wall-clock seconds granted per CPU second: the machine may be busy with other work. The first and
+the second search stay within `limits.wall_seconds` together."""
+_OF_THE_MESH = tuple(getattr(signal, name) for name in ("SIGSEGV", "SIGABRT", "SIGFPE"))
+"""What CoACD dies of on some meshes, on any machine."""
+_OUT_OF_MEMORY = ("bad_alloc", "MemoryError")
+"""What C++ and Python say last when there is no more memory."""
 
 
 class Search(NamedTuple):
@@ -48,13 +53,14 @@ def run_coacd(mesh: TriangleMesh, options: Mapping[str, Any], cpu_seconds: int) 
         cpu_seconds: The system ends the search after so many.
 
     Raises:
-        PrepareFailure: `timed_out`, when the machine did not even give it those CPU seconds:
-            a wall clock must not decide which pieces an object has.
+        PrepareFailure: The machine is to blame, which must not decide which pieces an object has:
+            `timed_out` when it did not even give those CPU seconds, `too_complex` without memory
+            for it, `crashed` when somebody else ended the search or it could not start.
     """
     problem = _unsafe(mesh)
     if problem:
         return Search([], problem, False)
-    text = json.dumps({**options, "cpu_seconds": cpu_seconds})
+    text = json.dumps({**options, "cpu_seconds": cpu_seconds, "parent": os.getpid()})
     buffer = io.BytesIO()
     np.savez(buffer, vertices=mesh.vertices, faces=mesh.faces, options=np.array(text))
     # One thread: the pieces must not depend on the number of cores.
@@ -74,12 +80,39 @@ def run_coacd(mesh: TriangleMesh, options: Mapping[str, Any], cpu_seconds: int) 
             Status.TIMED_OUT, f"the decomposition did not get {cpu_seconds} CPU s in {wall:.0f} s"
         ) from err
     if done.returncode != 0:
-        _log.debug("CoACD: %s", done.stderr.decode(errors="replace")[-2000:])
-        late = done.returncode in (-signal.SIGXCPU, -signal.SIGKILL)
-        ended = f"used up its {cpu_seconds} CPU s" if late else f"died ({done.returncode})"
-        return Search([], ended, late)
+        said = done.stderr.decode(errors="replace")[-2000:]
+        _log.debug("CoACD: %s", said)
+        return _failed(done.returncode, said, cpu_seconds)
     answer = np.load(io.BytesIO(done.stdout), allow_pickle=False)
     return Search([answer[f"v{k}"] for k in range(int(answer["count"]))], "", False)
+
+
+def _failed(code: int, said: str, cpu_seconds: int) -> Search:
+    """Tell what the mesh is to blame for from what the machine is.
+
+    Args:
+        code: What the process returned; minus the signal that ended it.
+        said: The end of its error output.
+        cpu_seconds: What it was allowed.
+
+    Raises:
+        PrepareFailure: The machine is to blame.
+    """
+    if any(text in said for text in _OUT_OF_MEMORY):
+        raise PrepareFailure(
+            Status.TOO_COMPLEX,
+            "the decomposition ran out of memory: decimate the mesh or raise limits.memory_gib",
+        )
+    if code == -signal.SIGXCPU:  # only the limit on CPU seconds sends it
+        return Search([], f"used up its {cpu_seconds} CPU s", True)
+    if -code in _OF_THE_MESH:
+        return Search([], f"died ({signal.Signals(-code).name})", False)
+    if code < 0:
+        raise PrepareFailure(
+            Status.CRASHED, f"the decomposition was ended: {signal.strsignal(-code)}"
+        )
+    last = said.strip().splitlines()[-1:] or [f"exit code {code}"]
+    raise PrepareFailure(Status.CRASHED, f"the decomposition could not run: {last[0][:200]}")
 
 
 def _unsafe(mesh: TriangleMesh) -> str:

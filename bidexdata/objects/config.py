@@ -68,8 +68,11 @@ class RepairConfig:
     display_faces: int = 20_000
     """Faces of the stored mesh above which it is simplified."""
     thin: float = 0.002
-    """Mean thickness of walls below which a mesh that is no plate is made thicker: half a
-    millimetre of cardboard at 0.3 m is no solid for a simulator."""
+    """Mean thickness of walls below which a mesh is made thicker: half a millimetre of cardboard at
+    0.3 m is no solid for a simulator."""
+    plate: float = 0.005
+    """Thickness that convex plates and needles below `thin` get: the finest cell of the signed
+    distances is 0.0042, and what has no node inside has no depth."""
     near: float = 0.02
     """A repair whose Hausdorff distance to the input is not larger is accepted without a look at
     dearer ones."""
@@ -83,6 +86,8 @@ class RepairConfig:
         _positive(self, "weld", "loose_weld", "remesh_cells", "shell_cells", "lost_cells")
         if self.fine_cells < self.remesh_cells:
             raise BadConfig("repair.fine_cells must not be smaller than repair.remesh_cells")
+        if self.plate < self.thin:
+            raise BadConfig("repair.plate must not be smaller than repair.thin")
         if self.weld > self.loose_weld:
             raise BadConfig("repair.loose_weld must not be smaller than repair.weld")
 

@@ -33,9 +33,7 @@ _FINEST, _ROUGHEST = 1e-5, 0.1
 """Between these lies the tolerance that leaves few enough vertices (unit diagonal)."""
 _BISECTIONS = 10
 """Steps of that search: the tolerance to within 1 %."""
-
-
-FINER = "coacd_finer"
+_FINER = "coacd_finer"
 """Method of pieces that a lower threshold than the first made."""
 
 
@@ -145,11 +143,11 @@ def _finer(
         found = run_coacd(simple, {**attempt.options, "threshold": threshold}, seconds)
         latest = _solid_pieces(found.pieces, mesh, config)
         if not latest:
-            warnings.append(f"{FINER} {found.reason or 'gave no piece with a volume'}")
+            warnings.append(f"{_FINER} {found.reason or 'gave no piece with a volume'}")
             break
         now = _volume(latest) / whole
         if abs(now - 1) < abs(ratio - 1):
-            best, method, ratio = latest, FINER, now
+            best, method, ratio = latest, _FINER, now
     return best, method
 
 

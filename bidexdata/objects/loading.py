@@ -18,6 +18,9 @@ from bidexdata.objects.readers.content import check_faces, unreadable
 from bidexdata.objects.readers.inside import regular_bytes
 from bidexdata.record.status import Status
 
+_COARSE = 1e-4
+"""Step between neighbouring numbers above which fine detail is lost: that of the looser weld."""
+
 
 class LoadedMesh(NamedTuple):
     """Triangles of unit diagonal about the middle of their box, z up, as the file has them."""
@@ -95,7 +98,18 @@ def unit_mesh(
     unit = TriangleMesh(
         (vertices - centre) / diagonal, np.ascontiguousarray(faces.reshape(-1, 3), np.int32)
     )
-    return LoadedMesh(unit, centre, diagonal, metres_per_unit, warnings + dropped)
+    warnings += dropped + _of_precision(vertices, diagonal)
+    return LoadedMesh(unit, centre, diagonal, metres_per_unit, warnings)
+
+
+def _of_precision(vertices: NDArray[np.float64], diagonal: float) -> tuple[str, ...]:
+    """Warn of coordinates so large that their rounding, single or double, shows in the shape."""
+    largest = float(np.abs(vertices).max())
+    with np.errstate(over="ignore"):
+        single = np.array_equal(vertices.astype(np.float32), vertices)
+    step = float(np.spacing(np.float32(largest) if single else largest)) / diagonal
+    text = f"far from its origin: coordinates are {step:.2%} of the diagonal apart"
+    return (text,) if step > _COARSE else ()
 
 
 def _finite(

@@ -23,6 +23,7 @@ from bidexdata.objects.deviation import hausdorff
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.holes import Filled, filled, is_closed
 from bidexdata.objects.physics import mass_properties, surface_area, thickness
+from bidexdata.objects.plates import thickened
 from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.remesh import remesh
 from bidexdata.objects.solids import Closed, is_sheet, one_solid, united
@@ -44,7 +45,7 @@ _FEWEST = 3
 """Faces below which a component encloses nothing, lids or not: a file of loose triangles has
 thousands of them."""
 _CONVEX = 0.985
-"""Share of its hull that a plate fills: one that is so thin is left alone."""
+"""Share of its hull that a plate fills: no other surface is needed to make it thicker."""
 _BETTER, _NEARLY = 0.7, 1.5
 """A dearer repair is taken only where it brings the surface so much nearer, and nearly near."""
 
@@ -54,8 +55,8 @@ class Repaired(NamedTuple):
 
     mesh: TriangleMesh
     method: str
-    """The rung: `as_is`, `orient`, `fill_holes`, `components`, `loose_weld`, `remesh` or
-    `remesh_shell`."""
+    """The rung: `as_is`, `orient`, `fill_holes`, `components`, `loose_weld`, `remesh`,
+    `remesh_shell`, or `thicken` after any of them."""
     steps: tuple[str, ...]
     """What was done, in order; docs/sources.md lists the names."""
     warnings: tuple[str, ...]
@@ -93,7 +94,7 @@ def repair(mesh: TriangleMesh, config: RepairConfig) -> Repaired:
             continue
         away = hausdorff(found.mesh, welded, config.hausdorff_samples)
         thin = thickness(found.mesh) < config.thin and not _is_convex(found.mesh)
-        steps = ("weld", *found.steps)
+        steps = ("weld",) * _changed(mesh, welded) + found.steps
         tried = Repaired(found.mesh, name or _rung(steps), steps, found.warnings, away, thin)
         best = tried if best is None else _better(best, tried, config)
         lids = "fill_holes" in best.steps and "remesh" not in best.steps
@@ -101,8 +102,22 @@ def repair(mesh: TriangleMesh, config: RepairConfig) -> Repaired:
         if best.hausdorff <= near and not best.thin:
             break
     if best is None:
-        raise PrepareFailure(Status.NO_VOLUME, "the remeshed surface encloses nothing")
-    return best._replace(warnings=best.warnings + _of_thickness(best.mesh, config))
+        raise _no_solid(welded, config)
+    return _told(_thickened(best, welded, config), config)
+
+
+def _no_solid(welded: TriangleMesh, config: RepairConfig) -> PrepareFailure:
+    """Say why nothing closed came out."""
+    parts = len(components(welded))
+    if parts > config.max_components:
+        text = f"{parts} separate parts; repair.max_components is {config.max_components}"
+        return PrepareFailure(Status.TOO_COMPLEX, f"{text}: give the parts files of their own")
+    return PrepareFailure(Status.NO_VOLUME, "the remeshed surface encloses nothing")
+
+
+def _changed(mesh: TriangleMesh, welded: TriangleMesh) -> bool:
+    counts = (len(m.vertices) + len(m.faces) for m in (mesh, welded))
+    return len(set(counts)) > 1
 
 
 def _better(best: Repaired, tried: Repaired, config: RepairConfig) -> Repaired:
@@ -121,13 +136,38 @@ def _is_convex(mesh: TriangleMesh) -> bool:
     return mass_properties(mesh).volume >= _CONVEX * hull
 
 
-def _of_thickness(mesh: TriangleMesh, config: RepairConfig) -> tuple[str, ...]:
-    wall = thickness(mesh)
-    return (f"only {wall:.2%} of the diagonal thick",) if wall < config.thin else ()
+def _thickened(found: Repaired, welded: TriangleMesh, config: RepairConfig) -> Repaired:
+    """Give a convex plate or needle a thickness that can be simulated."""
+    wall = thickness(found.mesh)
+    if wall >= config.thin or not _is_convex(found.mesh):
+        return found
+    text = f"only {wall:.2%} of the diagonal thick: made {config.plate:.2%} thick"
+    mesh = thickened(found.mesh, config.plate)
+    return Repaired(
+        mesh,
+        "thicken",
+        (*found.steps, "thicken"),
+        (*found.warnings, text),
+        hausdorff(mesh, welded, config.hausdorff_samples),
+        False,
+    )
+
+
+def _told(found: Repaired, config: RepairConfig) -> Repaired:
+    """Add warnings of what no rung mends."""
+    wall, warnings = thickness(found.mesh), found.warnings
+    if wall < config.thin:
+        warnings += (f"only {wall:.2%} of the diagonal thick",)
+    if found.hausdorff > config.near:
+        warnings += (f"the repair is up to {found.hausdorff:.1%} of the diagonal from the file",)
+    return found._replace(warnings=warnings)
 
 
 def _rung(steps: tuple[str, ...]) -> str:
-    """The rung that steps belong to: the most expensive of them names it."""
+    """The rung that steps belong to: the most expensive of them names it.
+
+    `orient` also where components that touch had only to be told apart.
+    """
     order = ("remesh_shell", "remesh", "drop_open", "fill_holes", "orient")
     names = {"drop_open": "components"}
     return next((names.get(s, s) for s in order if s in steps), "orient")
@@ -138,22 +178,33 @@ class _Sorted(NamedTuple):
 
     closed: list[TriangleMesh]
     open: list[TriangleMesh]
-    holes: int
+    doubles: int
+    """Faces that others had twice."""
+    turned: bool
+    """Whether faces were turned to be wound as their neighbours."""
+    holes: int = 0
     """Holes that were closed."""
-    lids: float
+    lids: float = 0.0
     """Largest share of a component's area that its lids have."""
 
     @property
     def steps(self) -> tuple[str, ...]:
-        return ("drop_double_faces", "orient") + ("fill_holes",) * (self.holes > 0)
+        done = (
+            ("drop_double_faces", self.doubles),
+            ("orient", self.turned),
+            ("fill_holes", self.holes),
+        )
+        return tuple(name for name, needed in done if needed)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        if not self.holes:
-            return ()
-        return (
-            f"{counted(self.holes, 'hole')} closed, at most {self.lids:.1%} of a component's area",
-        )
+        told = []
+        if self.doubles:
+            told.append(f"{counted(self.doubles, 'double face')} dropped")
+        if self.holes:
+            closed = counted(self.holes, "hole")
+            told.append(f"{closed} closed, at most {self.lids:.1%} of a component's area")
+        return tuple(told)
 
 
 def _mended(mesh: TriangleMesh, found: _Sorted, config: RepairConfig) -> Closed | None:
@@ -178,10 +229,13 @@ def _sorted(mesh: TriangleMesh, config: RepairConfig) -> _Sorted:
     walls of a cavity that are not joined to the outer walls must not get lids of their own either:
     what lies between them is theirs to enclose.
     """
-    parts = components(oriented(without_double_faces(mesh)))
+    single = without_double_faces(mesh)
+    wound = oriented(single)
+    parts = components(wound)
     tries = [filled(part) if len(part.faces) >= _FEWEST else None for part in parts]
     hollow = _hollow(parts, tries)
-    found = _Sorted([], [], 0, 0.0)
+    doubles = len(mesh.faces) - len(single.faces)
+    found = _Sorted([], [], doubles, not np.array_equal(wound.faces, single.faces))
     for part, lids, walls in zip(parts, tries, hollow, strict=True):
         if lids is None or walls or lids.share > config.lid_share or not _is_solid(lids.mesh):
             found.open.append(part)
@@ -219,7 +273,8 @@ def _loosely_welded(mesh: TriangleMesh, config: RepairConfig) -> Closed | None:
     if len(looser.faces) == 0 or surface_area(looser) < _AREA_KEPT * surface_area(mesh):
         return None
     found = one_solid(looser, config) or _mended(looser, _sorted(looser, config), config)
-    return found and found._replace(steps=("loose_weld", *found.steps))
+    text = f"seams of up to {config.loose_weld:.2%} of the diagonal welded"
+    return found and Closed(found.mesh, ("loose_weld", *found.steps), (text, *found.warnings))
 
 
 def _with_remeshed_parts(mesh: TriangleMesh, found: _Sorted, config: RepairConfig) -> Closed | None:

@@ -1,4 +1,4 @@
-"""One solid of closed components: cavities filled, inward parts turned, debris dropped, the rest united."""
+"""One solid of closed components: cavities filled, inward parts turned, specks dropped, the rest united."""
 
 from __future__ import annotations
 
@@ -21,6 +21,9 @@ NO_VOLUME = 1e-9
 """Volume below which a mesh of unit diagonal encloses nothing."""
 _SHEET = 1e-5
 """Thickness below which a closed component is a sheet with two sides; thinnest plate seen: 3e-4."""
+_SHARED = 0.08
+"""Share of the volume of components that others have too, above which a warning says so: joints of
+furniture stay below."""
 
 
 class Closed(NamedTuple):
@@ -44,7 +47,7 @@ def one_solid(mesh: TriangleMesh, config: RepairConfig) -> Closed | None:
 def united(parts: Sequence[Manifold], config: RepairConfig) -> Closed | None:
     """Unite closed parts to one solid.
 
-    Debris is what has less than `min_part` of the volume and is small in every direction. A closed
+    Specks have less than `min_part` of the volume and are small in every direction. A closed
     part without thickness that is not small is a sheet: it is no solid, so there is none.
     """
     if not parts or len(parts) > config.max_components:
@@ -57,11 +60,11 @@ def united(parts: Sequence[Manifold], config: RepairConfig) -> Closed | None:
     if total < NO_VOLUME:
         return None
     solids, least = outer + wrong, config.min_part * total
-    debris = [p.volume() < least and _size(p) < config.debris for p in solids]
-    kept = [p for p, gone in zip(solids, debris, strict=True) if not gone]
+    specks = [p.volume() < least and _size(p) < config.debris for p in solids]
+    kept = [p for p, gone in zip(solids, specks, strict=True) if not gone]
     if any(2 * p.volume() < _SHEET * p.surface_area() for p in kept if p.volume() < least):
         return None
-    dropped, turned = sum(debris), len(wrong) - sum(debris[len(outer) :])
+    dropped, turned = sum(specks), len(wrong) - sum(specks[len(outer) :])
     steps, warnings = [], []
     if cavities:
         steps.append("fill_cavities")
@@ -82,6 +85,9 @@ def united(parts: Sequence[Manifold], config: RepairConfig) -> Closed | None:
     whole = kept[0] if len(kept) == 1 else _without_cavities(union(kept))
     if whole.is_empty() or whole.volume() < NO_VOLUME:
         return None
+    shared = 1 - whole.volume() / sum(p.volume() for p in kept)
+    if shared > _SHARED:
+        warnings.append(f"overlapping or nested components, {shared:.0%} of their volume, united")
     return Closed(as_mesh(whole), tuple(steps), tuple(warnings))
 
 

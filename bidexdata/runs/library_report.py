@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from bidexdata.kinds import REPORT
 from bidexdata.objects.library import LEFT_OUT, object_folder
@@ -25,8 +25,8 @@ from bidexdata.runs.thumbnails import HEIGHT, THUMBNAIL, WIDTH
 from bidexdata.wording import counted
 
 TIMES = ".times"
-"""Folder of the seconds that every input took: one file per process that wrote some, and all of them
-as the page reads them."""
+"""Folder of the seconds that every input took: one file per process that wrote some, with lines of
+object_id and `Taken`, and all of them as the page reads them."""
 TIMES_SCRIPT = "times.js"
 
 _STYLE = """
@@ -39,17 +39,19 @@ small { color: #666 } img { background: #fff; border: 1px solid #ddd }
 .sums td, .sums th { position: static; border: 0 } input { padding: .3em; width: 24em }
 """
 _SCRIPT = """
-const slowest = [];
+const known = [];
 for (const cell of document.querySelectorAll("td[data-of]")) {
   const taken = (window.seconds || {})[cell.dataset.of];
   if (taken === undefined) continue;
-  cell.textContent = taken.toFixed(1);
-  slowest.push([taken, cell.dataset.name]);
+  cell.textContent = taken[0].toFixed(1);
+  known.push([...taken, cell.dataset.name]);
 }
-slowest.sort((a, b) => b[0] - a[0]);
-const work = slowest.reduce((sum, one) => sum + one[0], 0).toFixed(0);
-document.getElementById("times").textContent = slowest.length ? work + " s of work; slowest: " +
-  slowest.slice(0, 10).map(one => one[1] + " " + one[0].toFixed(1) + " s").join(", ") : "";
+const most = (k, count) => known.sort((a, b) => b[k] - a[k]).slice(0, count)
+  .map(one => one[3] + " " + one[k].toFixed(1) + " s").join(", ");
+const work = known.reduce((sum, one) => sum + one[0], 0).toFixed(0);
+document.getElementById("times").textContent = known.length ? work + " s of work; slowest: " +
+  most(0, 10) + ". Most CPU time in the worker: " + most(1, 3) + "; in the decomposition: " +
+  most(2, 3) + "." : "";
 document.getElementById("find").addEventListener("input", event => {
   const wanted = event.target.value.toLowerCase();
   for (const row of document.querySelectorAll("tr.input"))
@@ -59,25 +61,36 @@ document.getElementById("find").addEventListener("input", event => {
 _HEADS = ("mesh and pieces", "input", "repair", "pieces", "shape", "rest", "s", "notes")
 
 
-def append_time(library: Path, object_id: str, seconds: float) -> None:
+class Taken(NamedTuple):
+    """How long an input took [s]."""
+
+    seconds: float
+    """Wall-clock time."""
+    cpu: float
+    """CPU time of the worker, which `limits.cpu_seconds` bounds."""
+    search_cpu: float
+    """CPU time of all searches of the decomposition; `convex.cpu_seconds` bounds the first."""
+
+
+def append_time(library: Path, object_id: str, taken: Taken) -> None:
     """Note how long an input took."""
     folder = library / TIMES
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{socket.gethostname()}-{os.getpid()}.csv"
     with path.open("a", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerow([object_id, f"{seconds:.3f}"])
+        csv.writer(file).writerow([object_id, *(f"{seconds:.3f}" for seconds in taken)])
 
 
-def read_times(library: Path) -> dict[str, float]:
-    """Seconds by object_id, of every input that has been worked on; the last time counts."""
-    found: dict[str, float] = {}
+def read_times(library: Path) -> dict[str, Taken]:
+    """What every input took that has been worked on, by object_id; the last time counts."""
+    found: dict[str, Taken] = {}
     for path in sorted((library / TIMES).glob("*.csv"), key=lambda p: p.stat().st_mtime):
         with path.open(newline="", encoding="utf-8") as file:
             for row in csv.reader(file):
                 # A killed process may have left half a line.
                 with contextlib.suppress(ValueError):
-                    object_id, seconds = row
-                    found[object_id] = float(seconds)
+                    object_id, seconds, cpu, search = row
+                    found[object_id] = Taken(float(seconds), float(cpu), float(search))
     return found
 
 

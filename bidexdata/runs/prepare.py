@@ -38,17 +38,18 @@ from bidexdata.objects.storage import read_document, write_object
 from bidexdata.record.status import Status
 from bidexdata.runs.executors import TaskFailure, check_executor, run_tasks
 from bidexdata.runs.left_out import leave_out, reason_row
-from bidexdata.runs.library_report import append_time, write_report
+from bidexdata.runs.library_report import Taken, append_time, write_report
 from bidexdata.runs.object_folders import index_columns, made_columns, remove_partials
 from bidexdata.runs.plan import take_shard
+from bidexdata.runs.prepare_kernels import load_kernels
 from bidexdata.runs.prepare_parts import Parts, Row
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.thumbnails import THUMBNAIL, thumbnail
-from bidexdata.runs.worker_limits import CPU_SIGNAL, limit_memory, limited_cpu
+from bidexdata.runs.worker_limits import CPU_SIGNAL, cpu_used, limit_memory, limited_cpu
 
 R = TypeVar("R")
-SECONDS = "seconds"
-"""Key of a task's result that goes into no index."""
+TAKEN = "taken"
+"""Key of a task's result that goes into no index: how long it took."""
 _TRY_AGAIN = (Status.TIMED_OUT, Status.CRASHED)
 """Failures that the machine may be to blame for."""
 
@@ -144,7 +145,7 @@ def prepare_library(
         limit: Only the first so many inputs.
         dry_run: List the inputs and write nothing. With bounds on shapes (`select`) every input is
             read and repaired, to tell which would be left out; near duplicates are not looked for.
-        executor: `processes`, `inline` (no limits of memory and time) or `ray`.
+        executor: `processes`, or `inline` or `ray`, which set no limits of memory and time.
         workers: Number of workers; 0 means one per core.
         shard: Part i of n of the inputs, i from 0. Several machines may prepare one folder; the
             part that finds all others done writes the index (see `prepare_parts`).
@@ -227,12 +228,13 @@ def prepare_one(task: PrepareTask) -> Row:
     Returns:
         The columns that are known here: status and reason, empty when everything succeeded.
     """
-    started = time.monotonic()
+    started, (own, search) = time.monotonic(), cpu_used()
     made, row = _within_limits(task, _made_and_drawn)
     if made is not None and _made(task) is None:  # else it was made by another machine, meanwhile
         obj, picture = made
         write_object(_folder(task), obj, _identity(task.config), {THUMBNAIL: picture})
-    return {**row, SECONDS: time.monotonic() - started}
+    cpu = cpu_used()
+    return {**row, TAKEN: Taken(time.monotonic() - started, cpu[0] - own, cpu[1] - search)}
 
 
 def _made_and_drawn(item: SourceItem, config: PrepareConfig) -> tuple[PreparedObject, bytes]:
@@ -251,6 +253,7 @@ def _within_limits(
     """What `work` makes of an input, and the columns that say why there is nothing."""
     limits = task.config.limits
     limit_memory(limits.memory_gib)
+    load_kernels()
     try:
         with limited_cpu(limits.cpu_seconds):
             return work(task.item, task.config), {}
@@ -314,8 +317,8 @@ def _work(
     """Run the tasks and put what becomes of them into the rows."""
     with Progress(len(tasks) + already, "object", quiet=quiet, already=already) as progress:
         for number, result in _run(tasks, work, config, executor, workers):
-            if SECONDS in result:
-                append_time(tasks[number].library, tasks[number].object_id, result.pop(SECONDS))
+            if TAKEN in result:
+                append_time(tasks[number].library, tasks[number].object_id, result.pop(TAKEN))
             rows[number].update(result)
             progress.advance(note=tasks[number].object_id)
 

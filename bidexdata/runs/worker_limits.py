@@ -1,7 +1,8 @@
 """Bound what a worker process may use: address space for its life, CPU time for one task.
 
 Both are kept by the operating system, so native code that never returns is bound too. Neither
-ever touches the caller's own process.
+ever touches the caller's own process, nor a worker of Ray: that maps Ray's store into its address
+space and serves other tasks after ours.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import time
 from collections.abc import Iterator
 
 CPU_SIGNAL = "SIGXCPU"
@@ -30,6 +32,17 @@ def limit_memory(gib: float) -> None:
     if hard != resource.RLIM_INFINITY:
         wanted = min(wanted, hard)
     resource.setrlimit(resource.RLIMIT_AS, (wanted, hard))
+
+
+def cpu_used() -> tuple[float, float]:
+    """CPU seconds so far of this process and of its children that have ended."""
+    try:
+        import resource
+    except ImportError:  # Windows: nobody counts the children
+        return time.process_time(), 0.0
+    kinds = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    own, children = (sum(resource.getrusage(kind)[:2]) for kind in kinds)
+    return own, children
 
 
 @contextlib.contextmanager

@@ -1,12 +1,23 @@
 """Laws of pieces that are taken as they are: masses add up, and the way back to the file holds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from bidexdata.objects.assemble import summed_mass, unit_solid, unit_solid_of_sum
+from bidexdata.objects.assemble import assembled, summed_mass, unit_solid, unit_solid_of_sum
+from bidexdata.objects.closed import as_mesh
+from bidexdata.objects.config import (
+    PrepareConfig,
+    RepairConfig,
+    RestConfig,
+    SdfConfig,
+    SurfaceConfig,
+)
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepared import Solid, TriangleMesh
+from bidexdata.objects.simulated import check_simulated
 from bidexdata.record.status import Status
 
 FLOAT32 = 1e-6  # positions at unit diagonal are rounded to it
@@ -91,3 +102,48 @@ def test_the_source_origin_is_where_the_file_has_zero():
 def test_the_nominal_volume_is_the_solid_s_where_none_is_stated():
     assert solid().nominal_volume == 0.5
     assert solid(nominal_volume=0.6).nominal_volume == 0.6
+
+
+def test_a_piece_that_the_simulator_refuses_is_named_when_the_object_is_made():
+    check_simulated(PIECES)
+    flat = TriangleMesh(PIECES[0].vertices * [1, 1, 0], PIECES[0].faces)
+    with pytest.raises(PrepareFailure) as caught:
+        check_simulated((PIECES[0], flat))
+    assert caught.value.status == Status.DECOMPOSITION_FAILED
+    assert "piece1" in caught.value.reason
+    assert "\n" not in caught.value.reason
+
+
+CUBE = box((0, 0, 0), (1, 1, 1))
+
+
+def made(pieces, shown=None, **changes):
+    config = replace(PrepareConfig(), sdf=SdfConfig(cells=24), surface=SurfaceConfig(points=50))
+    solid = unit_solid(pieces)
+    return assembled("x", solid, shown or solid.mesh, {}, replace(config, **changes))
+
+
+def test_an_object_is_refused_where_the_simulator_refuses_a_piece():
+    crumb = box((0, 0, 0), (1e-7, 1e-7, 1e-7))
+    with pytest.raises(PrepareFailure) as caught:
+        made((CUBE, crumb))
+    assert caught.value.status == Status.DECOMPOSITION_FAILED
+
+
+def test_an_object_without_a_rest_pose_says_so():
+    none = replace(RestConfig(), min_probability=0.9)  # a box has six sides
+    obj = made((CUBE,), rest=none)
+    assert len(obj.rest_heights) == 0
+    assert obj.provenance["warnings"] == [
+        "no rest pose: it comes to rest on a table in no orientation"
+    ]
+    assert made((CUBE,)).provenance["warnings"] == []
+
+
+def test_the_mesh_to_show_has_about_as_many_faces_as_are_asked_for():
+    import manifold3d
+
+    ball = as_mesh(manifold3d.Manifold.sphere(0.5, 96))
+    shown = made((CUBE,), ball, repair=replace(RepairConfig(), display_faces=1000)).mesh
+    assert 300 < len(shown.faces) <= 1000 < len(ball.faces)
+    assert len(made((CUBE,), ball).mesh.faces) == len(ball.faces)

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from bidexdata.objects.closed import as_manifold, as_mesh, convex_hull, union
+from bidexdata.objects.coacd_process import Search, run_coacd
 from bidexdata.objects.config import ConvexConfig
-from bidexdata.objects.convex import decompose
+from bidexdata.objects.convex import _simplified, decompose
 from bidexdata.objects.cuts import overlap_cuts
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.mesh_queries import winding_distances
@@ -118,7 +119,7 @@ def test_built_in_shapes_become_pieces_of_nearly_their_volume():
 
 
 def test_every_family_is_closed_and_wound_outward():
-    assert len(shape_families()) >= 8
+    assert len(shape_families()) >= 12
     for family in shape_families():
         for number in (0, 1, 2):
             assert mass_properties(shape_mesh(f"{family}/{number}")).volume > 0
@@ -151,6 +152,37 @@ def test_pieces_that_bridge_a_hollow_are_searched_more_finely():
     assert ratios[0] > 1.3
     assert ratios[1] < 1.2
     assert ratios[2] >= ratios[1]  # no more pieces than are allowed
+
+
+def test_a_fine_mesh_is_simplified_to_the_face_bound_before_the_search():
+    turn = np.arange(256) * 2 * np.pi / 256
+    profile = np.column_stack([0.3 + 0.1 * np.cos(turn), 0.1 * np.sin(turn)])
+    ring = manifold3d.Manifold.revolve(manifold3d.CrossSection([profile]), 256)
+    faces = [
+        len(_simplified(ring, replace(ConvexConfig(), simplify=1e-4, max_faces=most)).faces)
+        for most in (10**6, 10_000, 4000)
+    ]
+    assert faces[0] > 10_000 >= faces[1] > 4000 >= faces[2]
+
+
+def test_the_cheaper_search_follows_one_that_uses_up_its_cpu_seconds(monkeypatch):
+    mesh = half_tube()
+    asked = []
+
+    def searched(simple, options, cpu_seconds):
+        asked.append((options["threshold"], options["max_convex_hull"], cpu_seconds))
+        if len(asked) == 1:
+            return Search([], "used up its 60 CPU s", True)
+        return run_coacd(simple, options, cpu_seconds)
+
+    monkeypatch.setattr("bidexdata.objects.convex.run_coacd", searched)
+    config = ConvexConfig()
+    found = decompose(mesh, config)
+    assert found.method == "coacd_second"
+    assert found.warnings == ("coacd used up its 60 CPU s",)
+    assert 1 < len(found.pieces) <= config.second_max_pieces
+    second = (config.second_threshold, config.second_max_pieces, config.second_cpu_seconds)
+    assert asked[1:] == [second]
 
 
 def test_a_search_that_runs_out_of_cpu_time_ends_in_the_named_hull():

@@ -15,7 +15,7 @@ from bidexdata.objects.config import SelectConfig
 from bidexdata.objects.library import Library
 from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.selection import near_duplicates, outside, unwanted
-from bidexdata.runs.library_report import TIMES, append_time, read_times
+from bidexdata.runs.library_report import TIMES, Taken, append_time, read_times
 from bidexdata.runs.prepare import prepare_library
 
 TRAITS = {"aspect": 4.0, "thickness": 0.01, "components": 2, "genus": 1}
@@ -154,10 +154,19 @@ def test_the_report_shows_every_input_with_its_picture_and_time(tmp_path, boxes,
 
 
 def test_half_a_line_of_a_killed_process_loses_no_other_time(tmp_path):
-    append_time(tmp_path, "one", 1.5)
-    for cut in ("two", "two,", "two,1.x", "two,1,1"):
-        (tmp_path / TIMES / "killed.csv").write_text(f"zero,0.5\n{cut}")
-        assert read_times(tmp_path) == {"one": 1.5, "zero": 0.5}
+    append_time(tmp_path, "one", Taken(1.5, 1.0, 0.25))
+    for cut in ("two", "two,", "two,1.x", "two,1,1", "two,1,1,", "two,1,1,1,1"):
+        (tmp_path / TIMES / "killed.csv").write_text(f"zero,0.5,0.25,0\n{cut}")
+        assert read_times(tmp_path) == {"one": (1.5, 1.0, 0.25), "zero": (0.5, 0.25, 0.0)}
+
+
+def test_the_cpu_seconds_of_the_worker_and_of_the_decomposition_are_kept_apart(tmp_path, small):
+    out = tmp_path / "lib"
+    report = prepared(["shapes:box", "shapes:bracket"], out, small)
+    box, bracket = (read_times(out)[row["object_id"]] for row in report.rows)
+    assert box.search_cpu == 0  # it is its hull: nothing was searched
+    assert bracket.search_cpu > 0.05
+    assert box.cpu > 0
 
 
 def test_objects_that_other_inputs_do_not_name_leave_the_index_and_are_told(tmp_path, boxes, small):

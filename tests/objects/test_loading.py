@@ -114,6 +114,35 @@ def test_missing_materials_are_no_error(tmp_path, box):
     assert_is_the_box(load(path))
 
 
+def test_what_no_honest_file_has_is_read_with_a_warning(tmp_path, box):
+    path = write_obj(tmp_path / "box.obj", box)
+    text = path.read_bytes()
+    assert load(path).warnings == ()
+    path.write_bytes(b"mtllib own.mtl\nmtllib ../../secret.mtl\n" + text.replace(b"\n", b"\0\n", 3))
+    loaded = load(path)
+    assert_is_the_box(loaded)
+    assert loaded.warnings == (
+        "3 NUL bytes in the text: is the file damaged?",
+        "it names '../../secret.mtl', which is not read",
+    )
+    packed = bytearray(write_glb(box))
+    assert load(made(tmp_path, "box.glb", bytes(packed))).warnings == ()
+    packed[8:12] = struct.pack("<I", 4_000_000_000)
+    (warning,) = load(made(tmp_path, "lie.glb", bytes(packed))).warnings
+    assert warning == f"its header claims 4000000000 bytes, the file has {len(packed)}"
+
+
+@pytest.mark.parametrize(("far", "warned"), [(0.0, False), (100.0, False), (1e5, True)])
+def test_single_precision_far_from_the_origin_is_warned_of(tmp_path, box, far, warned):
+    moved = TriangleMesh(box.vertices + far, box.faces)
+    single = load(write_stl(tmp_path / "box.stl", moved))
+    assert bool(single.warnings) == warned
+    assert load(write_obj(tmp_path / "box.obj", moved)).warnings == ()  # double precision
+    if warned:
+        # Neighbouring numbers at 1e5 are 2^-7 apart.
+        assert f"coordinates are {2**-7 / single.diagonal:.2%} of" in single.warnings[0]
+
+
 CASES = {
     "empty.stl": (b"", Status.UNREADABLE),
     "empty.glb": (b"", Status.UNREADABLE),

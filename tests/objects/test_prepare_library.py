@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -14,11 +16,17 @@ from mesh_files import library_files as files
 from mesh_files import mixed_folder
 
 from bidexdata.errors import ConfigConflict, NotUsable
-from bidexdata.objects.config import LimitsConfig, PrepareConfig, SdfConfig, SelectConfig
+from bidexdata.objects.config import (
+    LimitsConfig,
+    PrepareConfig,
+    RestConfig,
+    SdfConfig,
+    SelectConfig,
+)
 from bidexdata.objects.library import Library
 from bidexdata.record.status import Status
 from bidexdata.runs import object_folders
-from bidexdata.runs.prepare import PrepareReport, prepare_library
+from bidexdata.runs.prepare import PrepareReport, prepare_library, prepare_one
 
 
 @pytest.fixture
@@ -240,7 +248,36 @@ def test_nothing_prepared_is_still_a_library_with_its_rows(tmp_path, meshes, sma
     assert Library.open(tmp_path / "lib").index.num_rows == 1
 
 
-def test_a_worker_that_takes_too_long_or_dies_costs_one_row(tmp_path, meshes, small):
+def dies_of_the_first(task):
+    if task.item.source_name == "a_box.stl":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return prepare_one(task)
+
+
+def test_a_worker_that_dies_costs_one_row_and_a_rerun_tries_again(
+    tmp_path, meshes, small, monkeypatch
+):
+    out, sources = tmp_path / "lib", [meshes / "a_box.stl", meshes / "e_box.obj"]
+    with monkeypatch.context() as patch:
+        patch.setattr("bidexdata.runs.prepare.prepare_one", dies_of_the_first)
+        first, other = run(sources, out, small, executor="processes", workers=1).rows
+    assert (first["status"], other["status"]) == (Status.CRASHED, Status.OK)
+    assert "SIGKILL" in first["reason"]
+    again = run(sources, out, small)
+    assert [row["status"] for row in again.rows] == [Status.OK] * 2
+    assert again.made == 1
+
+
+def test_a_worker_that_needs_too_much_memory_costs_one_row(tmp_path, meshes, small):
+    few = RestConfig(drops=24)
+    fine = replace(small, sdf=SdfConfig(cells=1000, error=1e-9), rest=few)
+    bound = replace(fine, limits=LimitsConfig(memory_gib=1.5))
+    (row,) = run([meshes / "a_box.stl"], tmp_path / "lib", bound, executor="processes").rows
+    assert row["status"] == Status.TOO_COMPLEX
+    assert "needs more than limits.memory_gib = 1.5 GiB" in row["reason"]
+
+
+def test_a_worker_that_takes_too_long_costs_one_row(tmp_path, meshes, small):
     out = tmp_path / "lib"
     hasty = replace(small, limits=LimitsConfig(wall_seconds=0.05))
     report = run([meshes / "a_box.stl"], out, hasty, executor="processes", workers=1)

@@ -347,6 +347,16 @@ def test_3mf_has_a_unit_and_z_up(box, unit, metres):
     assert volume(content) == pytest.approx(0.09)
 
 
+def test_a_3mf_entry_that_leads_out_of_the_archive_is_warned_of(box):
+    plain = {"3D__3dmodel.model": model(box, "unit='meter'")}
+    assert read("a.3mf", archive(**plain)).warnings == ()
+    content = read("a.3mf", archive(**plain, **{"..__..__escaped.model": b"<model/>"}))
+    assert content.warnings == (
+        "its archive holds '../../escaped.model', which leads out of it: "
+        "nothing was unpacked there",
+    )
+
+
 def test_3mf_components_are_placed_by_rows_also_from_other_parts(box):
     # Rows: x to y, y to -x, then a move; the component doubles before the item turns.
     extra = (

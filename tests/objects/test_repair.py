@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import manifold3d
 import numpy as np
 import pytest
@@ -80,6 +82,7 @@ def test_cracks_wider_than_the_first_weld_are_closed_by_the_second(ball):
     noise = np.random.default_rng(0).uniform(-2e-5, 2e-5, cracked.vertices.shape)
     repaired = repair(TriangleMesh(cracked.vertices + noise, cracked.faces), CONFIG)
     assert repaired.method == "loose_weld"
+    assert repaired.warnings == ("seams of up to 0.01% of the diagonal welded",)
     assert volume(repaired.mesh) == pytest.approx(volume(ball), rel=1e-3)
 
 
@@ -88,7 +91,7 @@ def test_faces_that_point_both_ways_are_made_consistent(ball):
     faces = np.where(flip[:, None], ball.faces[:, ::-1], ball.faces)
     repaired = repair(TriangleMesh(ball.vertices, faces), CONFIG)
     assert repaired.method == "orient"
-    assert repaired.steps == ("weld", "drop_double_faces", "orient")
+    assert repaired.steps == ("orient",)
     assert volume(repaired.mesh) == pytest.approx(volume(ball), rel=1e-9)
 
 
@@ -96,12 +99,22 @@ def test_double_faces_and_a_small_hole_are_repaired_lightly(ball):
     faces = np.concatenate([ball.faces[1:], ball.faces[5:50]])
     repaired = repair(TriangleMesh(ball.vertices, faces), CONFIG)
     assert repaired.method == "fill_holes"
+    assert repaired.steps == ("drop_double_faces", "fill_holes")
+    assert repaired.warnings[0] == "45 double faces dropped"
     assert volume(repaired.mesh) == pytest.approx(volume(ball), rel=1e-9)
+
+
+def test_a_good_mesh_needs_no_step(ball):
+    repaired = repair(ball, CONFIG)
+    assert (repaired.method, repaired.steps, repaired.warnings) == ("as_is", (), ())
 
 
 def test_overlapping_parts_count_once():
     repaired = repair(joined(cube((0.5, 0.1, 0.1)), cube((0.1, 0.5, 0.1))), CONFIG)
     assert volume(repaired.mesh) == pytest.approx(2 * 0.005 - 0.001)
+    assert repaired.warnings == ("overlapping or nested components, 10% of their volume, united",)
+    apart = repair(joined(cube((0.5, 0.1, 0.1)), cube((0.5, 0.1, 0.1), (0, 0.3, 0))), CONFIG)
+    assert (apart.steps, apart.warnings) == (("unite",), ())
 
 
 def test_a_cavity_is_filled_and_said_so(ball):
@@ -144,6 +157,9 @@ def test_a_ball_without_its_cap_gets_a_flat_lid_and_keeps_the_rest(ball):
     open_ball = TriangleMesh(ball.vertices, ball.faces[middle[:, 2] < 0.2])
     repaired = repair(open_ball, CONFIG)
     assert repaired.method == "fill_holes"
+    assert repaired.hausdorff > CONFIG.near
+    away = f"the repair is up to {repaired.hausdorff:.1%} of the diagonal from the file"
+    assert repaired.warnings[-1] == away
     cap = np.pi * 0.1**2 * (3 * 0.3 - 0.1) / 3
     assert volume(repaired.mesh) == pytest.approx(volume(ball) - cap, rel=0.02)
     assert len(repaired.mesh.vertices) == len(np.unique(open_ball.faces))
@@ -198,6 +214,33 @@ def test_slivers_are_lost_with_the_face_that_they_are_of(monkeypatch):
     assert volume(asked.mesh) == pytest.approx(volume(whole.mesh), rel=0.02)
 
 
+def test_walls_that_a_fine_grid_keeps_are_not_made_thicker():
+    # A tray of 0.01: thinner than a cell of the coarse grid, thicker than one of the fine grid.
+    outer, inner = cube((0.6, 0.6, 0.4)), cube((0.58, 0.58, 0.4), (0, 0, 0.01))
+    tray = as_mesh(as_manifold(outer) - as_manifold(inner))
+    middle = tray.vertices[tray.faces].mean(axis=1)
+    torn = TriangleMesh(tray.vertices, tray.faces[~np.isclose(middle[:, 2], 0.2)])
+    assert "remesh_shell" not in repair(torn, CONFIG).steps
+    coarse = replace(CONFIG, fine_cells=CONFIG.remesh_cells)
+    assert "remesh_shell" in repair(torn, coarse).steps
+
+
+def test_more_components_than_are_united_get_a_new_surface():
+    parts = joined(*(cube((0.3, 0.2, 0.2), (0.25 * k, 0, 0)) for k in range(3)))
+    assert repair(parts, replace(CONFIG, max_components=3)).method == "as_is"
+    many = repair(parts, replace(CONFIG, max_components=2))
+    assert many.method == "remesh"
+    assert volume(many.mesh) == pytest.approx(0.8 * 0.2 * 0.2, rel=0.05)
+
+
+def test_more_components_that_do_not_touch_are_refused_with_their_number():
+    parts = joined(*(cube((0.2, 0.2, 0.2), (0.3 * k, 0, 0)) for k in range(3)))
+    with pytest.raises(PrepareFailure) as caught:
+        repair(parts, replace(CONFIG, max_components=2))
+    assert caught.value.status == Status.TOO_COMPLEX
+    assert "3 separate parts; repair.max_components is 2" in caught.value.reason
+
+
 def test_winding_that_differs_across_an_edge_has_no_lids(ball):
     faces = ball.faces.copy()
     faces[7] = faces[7, ::-1]
@@ -242,16 +285,45 @@ def test_walls_thinner_than_a_cell_do_not_become_lace():
     assert solid.volume() == pytest.approx(volume(tray), rel=0.25)
 
 
-def test_paper_is_made_thicker_and_plates_are_left_alone():
+def test_paper_is_made_thicker():
     outer, inner = cube((0.6, 0.5, 0.4)), cube((0.5994, 0.4994, 0.4), (0, 0, 0.0003))
     carton = as_mesh(as_manifold(outer) - as_manifold(inner))
     assert thickness(carton) < CONFIG.thin
     repaired = repair(carton, CONFIG)
     assert repaired.method == "remesh_shell"
     assert thickness(repaired.mesh) > CONFIG.thin
-    plate = repair(cube((0.8, 0.55, 0.0004)), CONFIG)
-    assert plate.method == "as_is"
-    assert plate.warnings == ("only 0.04% of the diagonal thick",)
+
+
+THIN = {"plate": (0.8, 0.55, 0.0004), "needle": (0.0012, 0.0012, 0.99)}
+
+
+@pytest.mark.parametrize("name", THIN)
+def test_a_plate_or_needle_is_made_as_thick_as_can_be_simulated(name):
+    size = np.array(THIN[name])
+    repaired = repair(soup(cube(size)), CONFIG)
+    assert (repaired.method, repaired.steps) == ("thicken", ("weld", "thicken"))
+    wanted = np.maximum(size, CONFIG.plate)
+    np.testing.assert_allclose(np.ptp(repaired.mesh.vertices, axis=0), wanted, atol=FLOAT32)
+    assert volume(repaired.mesh) == pytest.approx(np.prod(wanted))
+    # Nothing sticks out farther than the corners have moved.
+    moved = (wanted - size) / 2
+    assert repaired.hausdorff == pytest.approx(np.linalg.norm(moved), abs=FLOAT32)
+    (warning,) = repaired.warnings
+    assert "of the diagonal thick: made 0.50% thick" in warning
+
+
+def test_a_plate_that_is_thick_enough_keeps_its_thickness():
+    size = (0.8, 0.55, 1.2 * CONFIG.thin)
+    repaired = repair(cube(size), CONFIG)
+    assert (repaired.method, repaired.steps, repaired.warnings) == ("as_is", (), ())
+    assert volume(repaired.mesh) == pytest.approx(np.prod(size))
+
+
+def test_a_thickened_plate_is_an_object_that_a_simulator_takes():
+    obj = prepare_object(cube((0.8, 0.55, 0.0001)), COARSE)
+    assert obj.provenance["repair"] == "thicken"
+    assert np.ptp(obj.solid.vertices, axis=0).min() == pytest.approx(CONFIG.plate, rel=0.05)
+    assert len(obj.rest_heights) == 2  # on either side
 
 
 def test_a_large_part_without_volume_is_no_debris(ball):
@@ -296,13 +368,6 @@ def test_what_lies_in_a_plane_has_no_volume(box):
     with pytest.raises(PrepareFailure) as caught:
         repair(flat, CONFIG)
     assert caught.value.status == Status.NO_VOLUME
-
-
-def test_a_thin_closed_plate_is_left_alone():
-    plate = cube((0.8, 0.55, 0.0004))
-    repaired = repair(soup(plate), CONFIG)
-    assert repaired.method == "as_is"
-    assert volume(repaired.mesh) == pytest.approx(0.8 * 0.55 * 0.0004)
 
 
 def test_weld_keeps_a_closed_mesh_closed_when_triangles_collapse(ball):
@@ -363,7 +428,7 @@ def test_one_far_triangle_does_not_set_the_scale(ball):
     alone, among = prepare_object(ball, COARSE), prepare_object(joined(ball, far), COARSE)
     assert among.volume == pytest.approx(alone.volume, rel=1e-3)
     assert among.provenance["repair"] == "as_is"
-    assert among.provenance["repair_steps"] == ["drop_debris", "weld"]
+    assert among.provenance["repair_steps"] == ["drop_debris"]
 
 
 def test_a_lid_is_flat_where_a_new_surface_would_only_bulge(ball):

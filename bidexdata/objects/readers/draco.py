@@ -35,9 +35,7 @@ def draco_triangles(
         ) from err
     try:
         decoded = DracoPy.decode(data)
-    except MemoryError:
-        raise
-    except Exception as err:  # its classes differ between versions; only the decoder is called here
+    except (DracoPy.FileTypeException, ValueError, RuntimeError) as err:
         raise unreadable(f"Draco cannot decode it: {str(err)[:120]}") from err
     faces = getattr(decoded, "faces", None)
     attributes = extension.get("attributes")

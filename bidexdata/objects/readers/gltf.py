@@ -60,7 +60,8 @@ def read_gltf(path: Path, data: bytes, config: LoadConfig) -> Content:
         PrepareFailure: It contradicts itself, needs an extension that is not supported, or is
             larger than the bounds.
     """
-    document, binary = _document(data, binary=path.suffix.lower() == ".glb")
+    packed = path.suffix.lower() == ".glb"
+    document, binary = _document(data, binary=packed)
     missing = sorted(set(map(str, _list(document, "extensionsRequired"))) - _READABLE)
     if missing:
         raise PrepareFailure(
@@ -72,7 +73,8 @@ def read_gltf(path: Path, data: bytes, config: LoadConfig) -> Content:
     meshes = {m: _mesh(file, m) for m in sorted({m for m, _ in places})}
     check_faces(sum(len(p.faces) for m, _ in places for p in meshes[m]), config)
     parts = [p._replace(T_world_part=T) for m, T in places for p in meshes[m]]
-    warnings = ("it has a skeleton: prepared in the pose that is stored",) * ("skins" in document)
+    skeleton = ("it has a skeleton: prepared in the pose that is stored",) * ("skins" in document)
+    warnings = skeleton + (_of_length(data) if packed else ())
     return Content(joined_parts(parts, config), R_WORLD_Y_UP, 1.0, warnings)
 
 
@@ -100,6 +102,12 @@ def _unquoted(text: bytes) -> str:
         return unquote(json.loads(text))
     except ValueError:
         return ""
+
+
+def _of_length(data: bytes) -> tuple[str, ...]:
+    claimed = struct.unpack("<I", data[8:12])[0]
+    text = f"its header claims {claimed} bytes, the file has {len(data)}"
+    return () if claimed == len(data) else (text,)
 
 
 class _File(NamedTuple):

@@ -44,6 +44,11 @@ def beside(folder: Path, name: str) -> Path:
     return path
 
 
+def leads_out(name: bytes) -> bool:
+    """Tell whether a name goes up and out of the folder or archive of the file that has it."""
+    return b".." in name.strip().replace(b"\\", b"/").split(b"/")
+
+
 def file_inside(folder: Path, name: str, most: int) -> bytes:
     """Read a file by its name relative to a folder.
 

@@ -12,8 +12,10 @@ from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.polygons import triangulated
 from bidexdata.objects.readers.content import Content, Part, check_faces, joined_parts, unreadable
+from bidexdata.objects.readers.inside import leads_out
 from bidexdata.objects.readers.text import bad_numbers, numbers, plain_text, shown, whole_numbers
 from bidexdata.record.status import Status
+from bidexdata.wording import counted
 
 
 def read_obj(path: Path, data: bytes, config: LoadConfig) -> Content:
@@ -23,11 +25,12 @@ def read_obj(path: Path, data: bytes, config: LoadConfig) -> Content:
         PrepareFailure: A line is no vertex or face, a face names a vertex that does not exist, or
             there is none.
     """
-    lines = plain_text(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").split(b"\n")
+    plain = plain_text(data)
+    lines = plain.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").split(b"\n")
     points: list[bytes] = []
     polygons: list[bytes] = []
     point_lines, polygon_lines, before, owner = [], [], [], []
-    group = 0
+    group, libraries = 0, []
     for number, raw in enumerate(lines, 1):
         line = raw.lstrip()
         head = line[:2]
@@ -41,6 +44,8 @@ def read_obj(path: Path, data: bytes, config: LoadConfig) -> Content:
             owner.append(group)
         elif head.rstrip() in (b"o", b"g"):
             group += 1
+        elif line.startswith(b"mtllib"):
+            libraries.append(line[len(b"mtllib") :])
     if not polygons:
         raise PrepareFailure(Status.NO_FACES, f"{len(points)} vertices and no face")
     check_faces(len(polygons), config)
@@ -48,7 +53,15 @@ def read_obj(path: Path, data: bytes, config: LoadConfig) -> Content:
     corners, counts = _corners(polygons, polygon_lines, len(vertices), np.array(before))
     mesh = joined_parts([Part(vertices, triangulated(vertices, corners, counts))], config)
     group = np.repeat(owner, np.maximum(counts - 2, 0))
-    return Content(mesh, np.eye(3), None, group=group)
+    return Content(mesh, np.eye(3), None, _doubts(plain, libraries), group)
+
+
+def _doubts(plain: bytes, libraries: list[bytes]) -> tuple[str, ...]:
+    """What an honest exporter does not write; the triangles are read all the same."""
+    nuls = plain.count(b"\0")
+    found = [f"{counted(nuls, 'NUL byte')} in the text: is the file damaged?"] if nuls else []
+    found += [f"it names {shown(name)}, which is not read" for name in libraries if leads_out(name)]
+    return tuple(found)
 
 
 def _vertices(points: list[bytes], lines: list[int]) -> NDArray[np.float64]:

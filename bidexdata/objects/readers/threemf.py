@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.readers.content import Content, Part, check_faces, joined_parts, unreadable
+from bidexdata.objects.readers.inside import leads_out
 from bidexdata.objects.readers.scene import Place, placed
 from bidexdata.record.status import Status
 
@@ -66,7 +67,8 @@ def read_3mf(path: Path, data: bytes, config: LoadConfig) -> Content:
     meshes: dict[Any, Part] = {s.node: used[s.node[0]].objects[s.node[1]].part() for s in shown}
     check_faces(sum(len(meshes[s.node].faces) for s in shown), config)
     parts = [meshes[s.node]._replace(T_world_part=s.T) for s in shown]
-    return Content(joined_parts(parts, config), np.eye(3), _METRES.get(root.unit, 1e-3))
+    metres = _METRES.get(root.unit, 1e-3)
+    return Content(joined_parts(parts, config), np.eye(3), metres, archive.warnings)
 
 
 class _Object:
@@ -94,6 +96,11 @@ class _Archive:
         except (zipfile.BadZipFile, ValueError, NotImplementedError, OSError) as err:
             raise unreadable(f"it is no ZIP archive ({err})") from err
         self._names = {_plain(n): n for n in reversed(names)}
+        stray = [n for n in names if leads_out(n.encode(errors="replace"))]
+        self.warnings = tuple(
+            f"its archive holds {n[:60]!r}, which leads out of it: nothing was unpacked there"
+            for n in stray[:1]
+        )
         models = [n for n in self._names if n.endswith(".model")]
         if not models:
             raise unreadable("the archive holds no 3D model")
