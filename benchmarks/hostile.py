@@ -7,24 +7,26 @@ row per file: what became of it, its wall-clock time and the largest resident me
 from __future__ import annotations
 
 import argparse
+import hashlib
 import resource
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks.machine import describe_machine
 from bidexdata.objects.config import PrepareConfig
-from bidexdata.objects.identity import object_id_of
+from bidexdata.objects.identity import object_id_of, source_bytes
 from bidexdata.objects.library import object_folder
-from bidexdata.objects.sources import resolve_sources
+from bidexdata.objects.sources import SourceItem, resolve_sources
 from bidexdata.objects.storage import read_document
 from bidexdata.record.status import Status
 from bidexdata.runs.executors import TaskFailure, run_tasks
 from bidexdata.runs.prepare import PrepareTask, prepare_one
+from bidexdata.runs.worker_limits import CPU_SIGNAL
 
 PAGE = Path("docs/hostile_files.md")
 _STATUS, _CLEAR_REFS = Path("/proc/self/status"), Path("/proc/self/clear_refs")
@@ -34,13 +36,28 @@ class Told(NamedTuple):
     """What became of one file."""
 
     label: str
+    """A status, as the index has it."""
     text: str
     """The reason, or how it was repaired and its warnings."""
     seconds: float
+    """Wall-clock time [s]."""
     mebibytes: int
-    """Largest resident memory of the worker; 0 where the system does not say."""
+    """Largest resident memory of the worker; 0 where the system does not say. Of a worker that
+    died, the largest of any that ended so far."""
     child: int
-    """The same of any decomposition so far."""
+    """The same of any decomposition so far; of a worker that died, it is in the other."""
+
+
+def told_of(folder: Path, config: PrepareConfig) -> Iterator[tuple[str, Told]]:
+    """Name every file of a folder and what became of it, in a worker and a library thrown away."""
+    with tempfile.TemporaryDirectory() as place:
+        tasks = [_task(item, Path(place), config) for item in resolve_sources([str(folder)])]
+        start, wall = time.perf_counter(), config.limits.wall_seconds
+        for task, result in run_tasks(tasks, measured, workers=1, timeout=wall):
+            now = time.perf_counter()
+            failed = isinstance(result, TaskFailure)
+            yield task.item.source_name, _lost(result, now - start) if failed else result
+            start = now
 
 
 def measured(task: PrepareTask) -> Told:
@@ -49,7 +66,7 @@ def measured(task: PrepareTask) -> Told:
     start = time.perf_counter()
     row = prepare_one(task)
     seconds = time.perf_counter() - start
-    memory, child = _peak(), resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss // 1024
+    memory, child = _peak(), _peak_of_children()
     if row.get("status"):
         return Told(Status(row["status"]).label, str(row["reason"]), seconds, memory, child)
     known = read_document(task.library / object_folder(task.object_id))["provenance"]
@@ -63,25 +80,25 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--out", type=Path, default=PAGE)
     options = parser.parse_args(arguments)
-    config = PrepareConfig()
     told: dict[str, Told] = {}
-    with tempfile.TemporaryDirectory() as place:
-        tasks = {}
-        for item in resolve_sources([str(options.folder)]):
-            assert item.path is not None
-            data = item.path.read_bytes()
-            task = PrepareTask(
-                item, object_id_of(item, data), item.source_name, Path(place), config
-            )
-            tasks[item.source_name] = task
-        wall = config.limits.wall_seconds
-        for task, result in run_tasks(list(tasks.values()), measured, workers=1, timeout=wall):
-            name = task.item.source_name
-            bad = isinstance(result, TaskFailure)
-            told[name] = Told(result.kind, result.reason, wall, 0, 0) if bad else result
-            print(f"{name}: {told[name].label} in {told[name].seconds:.1f} s", flush=True)
-    options.out.write_text(page({name: told[name] for name in tasks}), encoding="utf-8")
+    for name, what in told_of(options.folder, PrepareConfig()):
+        told[name] = what
+        print(f"{name}: {what.label} in {what.seconds:.1f} s", flush=True)
+    options.out.write_text(page(told), encoding="utf-8")
     return 0
+
+
+def _task(item: SourceItem, library: Path, config: PrepareConfig) -> PrepareTask:
+    data = source_bytes(item, config.load.max_bytes)
+    sha256 = hashlib.sha256(data).hexdigest()
+    return PrepareTask(item, object_id_of(item, data), sha256, library, config)
+
+
+def _lost(failure: TaskFailure, seconds: float) -> Told:
+    """What `prepare` says of a worker that died or was ended."""
+    status = Status.TIMED_OUT if failure.kind == "timeout" else Status.CRASHED
+    status = Status.TOO_COMPLEX if CPU_SIGNAL in failure.reason else status
+    return Told(status.label, failure.reason, seconds, _peak_of_children(), 0)
 
 
 def page(told: dict[str, Told]) -> str:
@@ -113,6 +130,11 @@ def page(told: dict[str, Told]) -> str:
         text = t.text.replace("|", "\\|").replace("<", "&lt;")
         lines.append(f"| `{name}` | {t.label} | {text} | {t.seconds:.1f} | {t.mebibytes} |")
     return "\n".join(lines) + "\n"
+
+
+def _peak_of_children() -> int:
+    """Largest resident memory of a child process that has ended [MiB]; Linux counts in KiB."""
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss // 1024
 
 
 def _forget_peak() -> None:
