@@ -22,6 +22,7 @@ from bidexdata.objects.library import Library
 from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepared import Solid
 from bidexdata.runs.library_report import read_times
+from bidexdata.simulation.scene import SceneNotBuilt
 
 NEAR = (0.01, 0.02)
 """Hausdorff distances that objects are counted under [share of the diagonal]."""
@@ -42,7 +43,7 @@ def figures_of(solid: Solid, row: dict[str, Any]) -> dict[str, Any]:
     try:
         still = settled(ends_of(solid))
         refused = ""
-    except ValueError as err:  # MuJoCo's word for a model that it does not take
+    except SceneNotBuilt as err:
         still, refused = np.zeros(DROPS, bool), str(err)
     return {
         "object_id": solid.object_id,

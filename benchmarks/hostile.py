@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import os
 import resource
 import sys
 import tempfile
@@ -121,7 +122,8 @@ def page(told: dict[str, Told]) -> str:
         f"Slowest: `{slowest}`, {told[slowest].seconds:.1f} s. Largest memory:",
         f"`{largest}`, {told[largest].mebibytes} MiB resident; the decomposition, a process of its own,",
         f"at most {max(t.child for t in told.values())} MiB.",
-        f"Machine: {machine['cpu']}, one worker." if "cpu" in machine else "One worker.",
+        f"Machine: {machine['cpu']}, {machine['cores']} cores, one worker, load average {_load():.0f}:",
+        "other work beside it makes the seconds longer.",
         "",
         "| file | what became of it | why, or how | s | MiB |",
         "|---|---|---|---|---|",
@@ -130,6 +132,11 @@ def page(told: dict[str, Told]) -> str:
         text = t.text.replace("|", "\\|").replace("<", "&lt;")
         lines.append(f"| `{name}` | {t.label} | {text} | {t.seconds:.1f} | {t.mebibytes} |")
     return "\n".join(lines) + "\n"
+
+
+def _load() -> float:
+    """Processes that wanted a core, in the mean over the last 5 minutes; our worker is one."""
+    return os.getloadavg()[1]
 
 
 def _peak_of_children() -> int:
