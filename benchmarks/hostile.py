@@ -7,7 +7,6 @@ row per file: what became of it, its wall-clock time and the largest resident me
 from __future__ import annotations
 
 import argparse
-import hashlib
 import os
 import resource
 import sys
@@ -20,13 +19,12 @@ from typing import NamedTuple
 
 from benchmarks.machine import describe_machine
 from bidexdata.objects.config import PrepareConfig
-from bidexdata.objects.identity import object_id_of, source_bytes
 from bidexdata.objects.library import object_folder
-from bidexdata.objects.sources import SourceItem, resolve_sources
+from bidexdata.objects.sources import resolve_sources
 from bidexdata.objects.storage import read_document
 from bidexdata.record.status import Status
 from bidexdata.runs.executors import TaskFailure, run_tasks
-from bidexdata.runs.prepare import PrepareTask, prepare_one
+from bidexdata.runs.prepare import PrepareTask, prepare_library, prepare_one
 from bidexdata.runs.worker_limits import CPU_SIGNAL
 
 PAGE = Path("docs/hostile_files.md")
@@ -52,7 +50,7 @@ class Told(NamedTuple):
 def told_of(folder: Path, config: PrepareConfig) -> Iterator[tuple[str, Told]]:
     """Name every file of a folder and what became of it, in a worker and a library thrown away."""
     with tempfile.TemporaryDirectory() as place:
-        tasks = [_task(item, Path(place), config) for item in resolve_sources([str(folder)])]
+        tasks = _tasks(folder, Path(place), config)
         start, wall = time.perf_counter(), config.limits.wall_seconds
         for task, result in run_tasks(tasks, measured, workers=1, timeout=wall):
             now = time.perf_counter()
@@ -89,10 +87,14 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _task(item: SourceItem, library: Path, config: PrepareConfig) -> PrepareTask:
-    data = source_bytes(item, config.load.max_bytes)
-    sha256 = hashlib.sha256(data).hexdigest()
-    return PrepareTask(item, object_id_of(item, data), sha256, library, config)
+def _tasks(folder: Path, library: Path, config: PrepareConfig) -> list[PrepareTask]:
+    """One per file, also for those that have the bytes of an earlier one."""
+    sources = [str(folder)]
+    rows = prepare_library(sources, library, config, dry_run=True, quiet=True).rows
+    return [
+        PrepareTask(item, row["object_id"], row["source_sha256"], library, config)
+        for item, row in zip(resolve_sources(sources), rows, strict=True)
+    ]
 
 
 def _lost(failure: TaskFailure, seconds: float) -> Told:
