@@ -1,7 +1,8 @@
 """What becomes of a folder of broken files: `python -m benchmarks.hostile FOLDER [--out PAGE.md]`.
 
 One worker prepares them one by one, as `bidexdata prepare FOLDER --workers 1` would. The page has a
-row per file: what became of it, its wall-clock time and the largest resident memory of its worker (Linux).
+row per file: what became of it, its wall-clock and processor time, and the largest resident memory of its
+worker (Linux).
 """
 
 from __future__ import annotations
@@ -40,6 +41,9 @@ class Told(NamedTuple):
     """The reason, or how it was repaired and its warnings."""
     seconds: float
     """Wall-clock time [s]."""
+    busy: float
+    """Processor time of the worker and its decomposition [s], whatever else the machine does; of a worker
+    that died, its wall-clock time, which is more."""
     mebibytes: int
     """Largest resident memory of the worker; 0 where the system does not say. Of a worker that
     died, the largest of any that ended so far."""
@@ -62,15 +66,15 @@ def told_of(folder: Path, config: PrepareConfig) -> Iterator[tuple[str, Told]]:
 def measured(task: PrepareTask) -> Told:
     """Prepare one file in a worker and measure it."""
     _forget_peak()
-    start = time.perf_counter()
+    start, before = time.perf_counter(), _processor_time()
     row = prepare_one(task)
-    seconds = time.perf_counter() - start
+    seconds, busy = time.perf_counter() - start, _processor_time() - before
     memory, child = _peak(), _peak_of_children()
     if row.get("status"):
-        return Told(Status(row["status"]).label, str(row["reason"]), seconds, memory, child)
+        return Told(Status(row["status"]).label, str(row["reason"]), seconds, busy, memory, child)
     known = read_document(task.library / object_folder(task.object_id))["provenance"]
     text = f"{known['repair']}, {known['hausdorff']:.2%} of the diagonal from the input"
-    return Told("ok", "; ".join([text, *known["warnings"]]), seconds, memory, child)
+    return Told("ok", "; ".join([text, *known["warnings"]]), seconds, busy, memory, child)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -101,7 +105,7 @@ def _lost(failure: TaskFailure, seconds: float) -> Told:
     """What `prepare` says of a worker that died or was ended."""
     status = Status.TIMED_OUT if failure.kind == "timeout" else Status.CRASHED
     status = Status.TOO_COMPLEX if CPU_SIGNAL in failure.reason else status
-    return Told(status.label, failure.reason, seconds, _peak_of_children(), 0)
+    return Told(status.label, failure.reason, seconds, seconds, _peak_of_children(), 0)
 
 
 def page(told: dict[str, Told]) -> str:
@@ -121,19 +125,27 @@ def page(told: dict[str, Told]) -> str:
         f"{len(told)} files: "
         + ", ".join(f"{n} {label}" for label, n in counts.most_common())
         + ".",
-        f"Slowest: `{slowest}`, {told[slowest].seconds:.1f} s. Largest memory:",
+        f"Slowest: `{slowest}`, {told[slowest].seconds:.1f} s, {told[slowest].busy:.1f} s of it processor time.",
+        "Largest memory:",
         f"`{largest}`, {told[largest].mebibytes} MiB resident; the decomposition, a process of its own,",
         f"at most {max(t.child for t in told.values())} MiB.",
         f"Machine: {machine['cpu']}, {machine['cores']} cores, one worker, load average {_load():.0f}:",
         "other work beside it makes the seconds longer.",
         "",
-        "| file | what became of it | why, or how | s | MiB |",
-        "|---|---|---|---|---|",
+        "| file | what became of it | why, or how | s | processor s | MiB |",
+        "|---|---|---|---|---|---|",
     ]
     for name, t in told.items():
         text = t.text.replace("|", "\\|").replace("<", "&lt;")
-        lines.append(f"| `{name}` | {t.label} | {text} | {t.seconds:.1f} | {t.mebibytes} |")
+        figures = f"{t.seconds:.1f} | {t.busy:.1f} | {t.mebibytes}"
+        lines.append(f"| `{name}` | {t.label} | {text} | {figures} |")
     return "\n".join(lines) + "\n"
+
+
+def _processor_time() -> float:
+    """Of this process and its children that have ended [s]."""
+    used = (resource.getrusage(w) for w in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(u.ru_utime + u.ru_stime for u in used)
 
 
 def _load() -> float:
