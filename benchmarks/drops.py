@@ -43,15 +43,24 @@ def drop(scene: SimScene, solid: Solid, quat: np.ndarray) -> tuple[float, float,
     return *object_speed(scene), -float(pos[2] + lowest(solid, turned))
 
 
+def ends_of(solid: Solid) -> np.ndarray:
+    """Speed, rate of turning and depth at the end of every drop, (DROPS, 3)."""
+    scene = build_scene((), solid, SIZE, SceneSettings(), table=True)
+    rng = np.random.default_rng(0)
+    return np.array([drop(scene, solid, random_quat(rng, ())) for _ in range(DROPS)])
+
+
+def settled(ends: np.ndarray) -> np.ndarray:
+    """Which drops have come to rest and not sunk in, (DROPS,)."""
+    return (ends[:, 0] < SLOW) & (ends[:, 1] < TURNING) & (ends[:, 2] < SUNK)
+
+
 def main(path: str) -> int:
     """Print what has not settled, and counts."""
     library, bad = Library.open(path), 0
     for object_id in library.object_ids:
-        solid = library.load_solid(object_id)
-        scene = build_scene((), solid, SIZE, SceneSettings(), table=True)
-        rng = np.random.default_rng(0)
-        ends = np.array([drop(scene, solid, random_quat(rng, ())) for _ in range(DROPS)])
-        still = (ends[:, 0] < SLOW) & (ends[:, 1] < TURNING) & (ends[:, 2] < SUNK)
+        ends = ends_of(library.load_solid(object_id))
+        still = settled(ends)
         if not still.all():
             bad += 1
             said = "; ".join(f"{v:.3f} m/s {w:.2f} rad/s {d * 1e3:.1f} mm deep" for v, w, d in ends)

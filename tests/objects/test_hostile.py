@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
+from benchmarks.hostile import Told, told_of
 from bidexdata.objects.closed import as_manifold
-from bidexdata.objects.config import LoadConfig, RepairConfig
+from bidexdata.objects.config import LoadConfig, PrepareConfig, RepairConfig
 from bidexdata.objects.loading import load_mesh
 from bidexdata.objects.repair import repair
 from bidexdata.record.status import Status
 from bidexdata.runs.prepare import prepare_library
+from bidexdata.runs.workers import usable_cores
 
+SECONDS, MEBIBYTES = 60, 4e9 / 2**20
+"""What a file may take at most, its decomposition included, where nothing else needs the cores."""
 BALL = trimesh.creation.icosphere(subdivisions=2, radius=0.2).volume
 LEGAL = {
     # Sizes along x, y and z up, and volume, as make_nasty.py writes them.
@@ -66,3 +71,15 @@ def test_hostile_files_give_rows_and_nothing_else(tmp_path, shared: Path, small)
         "objects",
         "report.html",
     }
+
+
+@pytest.mark.slow
+def test_no_hostile_file_takes_more_than_a_minute_or_4_gb(shared: Path):
+    told: dict[str, Told] = dict(told_of(shared / "objects" / "nasty", PrepareConfig()))
+    assert len(told) == 81
+    assert not {t.label for t in told.values()} & {"crashed", "timed_out"}
+    assert all(t.mebibytes > 0 for t in told.values())
+    assert {n: t.busy for n, t in told.items() if t.busy > SECONDS} == {}
+    wall = SECONDS * max(1.0, max(os.getloadavg()) / usable_cores())  # others' work takes its share
+    assert {n: t.seconds for n, t in told.items() if t.seconds > wall} == {}
+    assert {n: t for n, t in told.items() if t.mebibytes + t.child > MEBIBYTES} == {}
