@@ -61,7 +61,7 @@ def decompose(mesh: TriangleMesh, config: ConvexConfig) -> Decomposition:
     if solid.volume() >= config.convex_ratio * hull.volume():
         return Decomposition((_few_vertices(hull, config),), "convex", ())
 
-    simple = _simplified(solid, config)
+    simple = simplified(solid, config)
     thin = solid.volume() / solid.surface_area() < config.thin_ratio
     warnings: list[str] = []
     out_of_time = False
@@ -156,7 +156,7 @@ def _volume(pieces: tuple[TriangleMesh, ...]) -> float:
     return union([convex_hull(piece.vertices) for piece in pieces]).volume()
 
 
-def _simplified(solid: Manifold, config: ConvexConfig) -> TriangleMesh:
+def simplified(solid: Manifold, config: ConvexConfig) -> TriangleMesh:
     """Collapse edges under the tolerance, and further while there are too many faces."""
     tolerance = config.simplify
     simple = solid.simplify(tolerance)

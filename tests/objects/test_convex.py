@@ -11,7 +11,7 @@ import pytest
 from bidexdata.objects.closed import as_manifold, as_mesh, convex_hull, union
 from bidexdata.objects.coacd_process import Search, run_coacd
 from bidexdata.objects.config import ConvexConfig
-from bidexdata.objects.convex import _simplified, decompose
+from bidexdata.objects.convex import decompose, simplified
 from bidexdata.objects.cuts import overlap_cuts
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.mesh_queries import winding_distances
@@ -159,7 +159,7 @@ def test_a_fine_mesh_is_simplified_to_the_face_bound_before_the_search():
     profile = np.column_stack([0.3 + 0.1 * np.cos(turn), 0.1 * np.sin(turn)])
     ring = manifold3d.Manifold.revolve(manifold3d.CrossSection([profile]), 256)
     faces = [
-        len(_simplified(ring, replace(ConvexConfig(), simplify=1e-4, max_faces=most)).faces)
+        len(simplified(ring, replace(ConvexConfig(), simplify=1e-4, max_faces=most)).faces)
         for most in (10**6, 10_000, 4000)
     ]
     assert faces[0] > 10_000 >= faces[1] > 4000 >= faces[2]

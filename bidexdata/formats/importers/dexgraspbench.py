@@ -34,8 +34,8 @@ from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.loading import file_mesh
 from bidexdata.objects.prepared import PreparedObject, TriangleMesh
+from bidexdata.objects.sources.files import usable_list
 from bidexdata.objects.sources.item import UNKNOWN
-from bidexdata.objects.sources.lists import SIDE_LIST, side_list
 
 JOINT_NAMES = (
     *("rh_FFJ4", "rh_FFJ3", "rh_FFJ2", "rh_FFJ1", "rh_MFJ4", "rh_MFJ3", "rh_MFJ2", "rh_MFJ1"),
@@ -203,10 +203,7 @@ def _unit(quat: FloatArray) -> FloatArray:
 
 def _about(folder: Path) -> dict[str, str]:
     """What an `INDEX.csv` beside the object's folder says of its origin."""
-    path = folder.parent / SIDE_LIST
-    if not path.is_file():
-        return {}
-    return side_list(path).get(folder.name, {})
+    return (usable_list(folder.parent) or {}).get(folder.name, {})
 
 
 def _display(

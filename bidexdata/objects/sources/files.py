@@ -72,7 +72,7 @@ def glob_items(pattern: str) -> list[SourceItem]:
     top = _fixed_folder(pattern)
     items = [SourceItem(source_name=p.relative_to(top).as_posix(), path=p) for p in found]
     items.sort(key=byte_order)
-    known_in = functools.cache(_known_in)  # a list beside many folders is read once
+    known_in = functools.cache(usable_list)  # a list beside many folders is read once
     return [described([item], item.path.parent, known_in)[0] for item in items if item.path]
 
 
@@ -111,13 +111,13 @@ def described(
         known_in: What a folder's list says, where the caller keeps what was read.
     """
     for place in (folder, real_path(folder).parent):
-        known = (known_in or _known_in)(place)
+        known = (known_in or usable_list)(place)
         if known is not None:
             return [_with_origin(item, known, place) for item in items]
     return items
 
 
-def _known_in(place: Path) -> _Known | None:
+def usable_list(place: Path) -> _Known | None:
     """What the list in a folder says; None where there is none, or none that can be used."""
     if not os.path.lexists(place / SIDE_LIST):
         return None
