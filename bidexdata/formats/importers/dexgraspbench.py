@@ -203,7 +203,7 @@ def _unit(quat: FloatArray) -> FloatArray:
 
 def _about(folder: Path) -> dict[str, str]:
     """What an `INDEX.csv` beside the object's folder says of its origin."""
-    return (usable_list(folder.parent) or {}).get(folder.name, {})
+    return dict((usable_list(folder.parent) or {}).get(folder.name, {}))
 
 
 def _display(
