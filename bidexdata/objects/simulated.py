@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.prepared import TriangleMesh
@@ -10,6 +11,29 @@ from bidexdata.record.status import Status
 
 _SMALLEST = 0.01
 """Smallest bounding-box diagonal that `synth` takes [m]: MuJoCo refuses what is too small."""
+
+
+def add_pieces(spec: Any, body: Any, pieces: Sequence[TriangleMesh], size: float) -> None:
+    """Give a body of an `MjSpec` the convex pieces of an object as its geoms.
+
+    Args:
+        spec: Gets the meshes.
+        body: Of the spec.
+        pieces: At unit diagonal.
+        size: Bounding-box diagonal of the object [m].
+    """
+    import mujoco
+
+    for number, piece in enumerate(pieces):
+        name = f"piece{number}"
+        spec.add_mesh(
+            name=name,
+            uservert=(piece.vertices * size).ravel(),
+            userface=piece.faces.ravel(),
+            # Scenes give the inertia; this choice only keeps flat pieces from being refused.
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
 
 
 def check_simulated(pieces: Sequence[TriangleMesh]) -> None:
@@ -21,15 +45,7 @@ def check_simulated(pieces: Sequence[TriangleMesh]) -> None:
     import mujoco
 
     spec = mujoco.MjSpec()
-    for number, piece in enumerate(pieces):
-        name = f"piece{number}"
-        spec.add_mesh(
-            name=name,
-            uservert=(piece.vertices * _SMALLEST).ravel(),
-            userface=piece.faces.ravel(),
-            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-        )
-        spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
+    add_pieces(spec, spec.worldbody, pieces, _SMALLEST)
     try:
         spec.compile()
     except ValueError as err:

@@ -13,6 +13,7 @@ import numpy as np
 
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import Solid
+from bidexdata.objects.simulated import add_pieces
 
 from .settings import SceneSettings
 
@@ -178,7 +179,6 @@ def _drop_pictures(child: mujoco.MjSpec) -> None:
 
 
 def _add_object(spec: mujoco.MjSpec, solid: Solid, size: float, density: float) -> None:
-    import mujoco
 
     body = spec.worldbody.add_body(name=OBJECT_BODY)
     body.add_freejoint(name=OBJECT_BODY)
@@ -187,13 +187,4 @@ def _add_object(spec: mujoco.MjSpec, solid: Solid, size: float, density: float) 
     body.mass = solid.mass(size, density)
     body.ipos = [0.0, 0.0, 0.0]
     body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    for number, piece in enumerate(solid.pieces):
-        name = f"piece{number}"
-        spec.add_mesh(
-            name=name,
-            uservert=(piece.vertices * size).ravel(),
-            userface=piece.faces.ravel(),
-            # The body's inertia is given; this choice only keeps flat pieces from being refused.
-            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-        )
-        body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
+    add_pieces(spec, body, solid.pieces, size)
