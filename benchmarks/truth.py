@@ -51,15 +51,17 @@ class Pair(NamedTuple):
         return self.quick and not self.plain
 
 
-def measure(path: str, test: str, protocol: str, workers: int = 2) -> dict[str, Any]:
+def measure(
+    path: str, test: str, protocol: str, workers: int = 2, wanted: int = FAILING
+) -> dict[str, Any]:
     """Compare audit rows, then selected rows that fail, until enough do."""
     run = Run.open(path)
     with pool(workers) as executor:
         pairs = _pairs(executor, run, test, protocol, "audit")
         failing = sum(not p.plain for p in pairs)
-        if failing < FAILING:
+        if failing < wanted:
             selected = _pairs(executor, run, test, protocol, "selected")
-            more = sorted(p for p in selected if not p.plain)[: FAILING - failing]
+            more = sorted(p for p in selected if not p.plain)[: wanted - failing]
             pairs += more
             failing += len(more)
     if len(pairs) < LEAST:
@@ -120,8 +122,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--test", default="f")
     parser.add_argument("--protocol", default="paper-1")
     parser.add_argument("--workers", type=int, default=2)
+    words = "failing grasps to look for among selected rows; 0: audit rows alone (%(default)s)"
+    parser.add_argument("--failing", type=int, default=FAILING, help=words)
     asked = parser.parse_args(arguments)
-    print(json.dumps(measure(asked.run, asked.test, asked.protocol, asked.workers), indent=2))
+    how = (asked.test, asked.protocol, asked.workers, asked.failing)
+    print(json.dumps(measure(asked.run, *how), indent=2))
 
 
 if __name__ == "__main__":
