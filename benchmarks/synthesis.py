@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import statistics
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from benchmarks.machine import median_seconds
 from benchmarks.objects import hands, objects, scenes
 from bidexdata.config import fingerprint
+from bidexdata.hands.contact_sets import contact_view
 from bidexdata.record import Status
 from bidexdata.synthesis.attempts import draw_attempts, gather_starts
 from bidexdata.synthesis.config import SynthConfig
@@ -43,8 +45,10 @@ def measure() -> dict[str, Any]:
 
 
 def _step_cost(config: SynthConfig) -> float:
-    obj = objects()[0]
+    """Of grasps by the fingertips."""
+    obj, config = objects()[0], replace(config, contacts=("fingertips",))
     attempts = [draw_attempts(obj, hands(), s, config, 0, 4 * ATTEMPTS) for s in scenes(obj)]
     start = gather_starts(attempts)
-    seconds = median_seconds(lambda: optimise(obj, hands(), start, config.optimise), repeats=3)
+    touching = [contact_view(hand, "fingertips") for hand in hands()]
+    seconds = median_seconds(lambda: optimise(obj, touching, start, config.optimise), repeats=3)
     return 1e6 * seconds / (len(start.size) * config.optimise.steps)

@@ -93,6 +93,7 @@ _PAPER = (
 )
 
 PAPER_GIVEN = (
+    Kept("contacts", "limitations: only the fingertips"),
     Kept("regions.anchors", "4.2: K_a = 200"),
     Kept("regions.radius", "4.2: 8 cm"),
     Kept(

@@ -7,6 +7,7 @@ import pytest
 
 from bidexdata.frames import matrix_from_quat, quat_angle, quat_multiply, random_quat
 from bidexdata.hands import load_hands
+from bidexdata.hands.contact_sets import contact_view
 from bidexdata.hands.kinematics import forward_kinematics, hand_points
 from bidexdata.objects.prepared import SignedDistanceGrid
 from bidexdata.synthesis import chain
@@ -56,7 +57,8 @@ class Ellipsoid:
 
 @pytest.fixture(scope="module")
 def hands():
-    return load_hands("capsule")
+    left, right = load_hands("capsule")
+    return contact_view(left, "fingertips"), contact_view(right, "fingertips")
 
 
 @pytest.fixture(scope="module")
