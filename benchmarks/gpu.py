@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.machine import median_seconds
 from benchmarks.objects import hands, prepared
 from benchmarks.report import report
-from bidexdata.config import fingerprint, to_plain
+from bidexdata.config import fingerprint, to_plain, with_overrides
 from bidexdata.devices import start_warp
 from bidexdata.errors import NotUsable
 from bidexdata.hands.contact_sets import contact_view
@@ -144,7 +144,8 @@ def _verdict_rates(amounts: Amounts, device: str) -> dict[str, dict[str, float]]
 
 def _optimiser(amounts: Amounts, device: str) -> dict[str, dict[str, float]]:
     """Microseconds per bimanual step, per number of attempts in one batch."""
-    config, obj = SynthConfig(contacts=("fingertips",)), prepared(amounts.families[0])
+    config = with_overrides(SynthConfig(), ["placement.contacts=[fingertips]"])
+    obj = prepared(amounts.families[0])
     touching = [contact_view(hand, "fingertips") for hand in hands()]
     found = {}
     for count in amounts.starts:

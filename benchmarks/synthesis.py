@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import statistics
 import time
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from benchmarks.machine import median_seconds
 from benchmarks.objects import hands, objects, scenes
-from bidexdata.config import fingerprint
+from bidexdata.config import fingerprint, with_overrides
 from bidexdata.hands.contact_sets import contact_view
 from bidexdata.record import Status
 from bidexdata.synthesis.attempts import draw_attempts, gather_starts
@@ -19,6 +18,7 @@ from bidexdata.synthesis.config import SynthConfig
 from bidexdata.synthesis.optimise import optimise
 from bidexdata.synthesis.pipeline import synthesize
 
+FINGERTIPS = ["placement.contacts=[fingertips]"]
 ATTEMPTS = 20
 """Per object-size, as many as the paper has per world."""
 
@@ -46,7 +46,7 @@ def measure() -> dict[str, Any]:
 
 def _step_cost(config: SynthConfig) -> float:
     """Of grasps by the fingertips."""
-    obj, config = objects()[0], replace(config, contacts=("fingertips",))
+    obj, config = objects()[0], with_overrides(config, FINGERTIPS)
     attempts = [draw_attempts(obj, hands(), s, config, 0, 4 * ATTEMPTS) for s in scenes(obj)]
     start = gather_starts(attempts)
     touching = [contact_view(hand, "fingertips") for hand in hands()]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from bidexdata.errors import BadConfig
-from bidexdata.hands.contact_sets import ContactSet
 from bidexdata.synthesis.optimise_config import ClosureConfig, OptimiseConfig
 from bidexdata.synthesis.placement import PlacementConfig
 from bidexdata.synthesis.regions import RegionConfig
@@ -20,18 +18,11 @@ class SynthConfig:
     `bidexdata.synthesis.presets` holds named diffs of the defaults.
     """
 
-    contacts: tuple[ContactSet, ...] = ("fingertips",)
-    """What the hands touch with: `fingertips`, `pads` (fingertips and the links behind them) or
-    `with_palm` (fingertips and places of the palm). Attempts take several in turn."""
     regions: RegionConfig = field(default_factory=RegionConfig)
     placement: PlacementConfig = field(default_factory=PlacementConfig)
     optimise: OptimiseConfig = field(default_factory=OptimiseConfig)
     staging: StagingConfig = field(default_factory=StagingConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
-
-    def __post_init__(self) -> None:
-        if not self.contacts or len(set(self.contacts)) != len(self.contacts):
-            raise BadConfig("SynthConfig.contacts must name one contact set at least, each once")
 
     @property
     def steps(self) -> int:

@@ -18,6 +18,7 @@ from bidexdata.synthesis.attempts import Attempts
 from bidexdata.synthesis.config import SynthConfig
 from bidexdata.synthesis.forces import (
     ContactForces,
+    base_give,
     contact_forces,
     force_scales,
     joint_torques,
@@ -29,6 +30,7 @@ from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.readout import Energies
 from bidexdata.synthesis.rows import scene_rows
 from bidexdata.synthesis.selection import SelectionConfig, audit, best, judge
+from bidexdata.synthesis.staging import Press
 
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
@@ -198,6 +200,8 @@ def _grasp_set(
     search: Search,
 ) -> Staged:
     """Finish attempts that all touch with the same contact set."""
+    from bidexdata.simulation.compliance import weld_stiffness
+
     views = (contact_view(hands[0], name), contact_view(hands[1], name))
     method = method_of(config)
     found = search(obj, views, attempts, config, device=device)
@@ -220,8 +224,14 @@ def _grasp_set(
         staging.force_floor,
         staging.force_per_weight,
     )
-    torques = joint_torques(found.workspace, forces.forces * scale[:, :, None, None])
-    target = method.aim(found, torques, views, config)
+    pressing = forces.forces * scale[:, :, None, None]
+    press = Press(
+        joint_torques(found.workspace, pressing),
+        base_give(
+            found.points, pressing, found.grasp.position, [weld_stiffness(hand) for hand in hands]
+        ),
+    )
+    target = method.aim(found, press, views, config)
     finite = found.pregrasp.finite() & found.grasp.finite() & target.finite()
     stages = (found.pregrasp, found.grasp, target)
     deep = Overlaps(*_depths(obj, hands, attempts, stages, finite))

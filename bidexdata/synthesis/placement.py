@@ -21,6 +21,7 @@ from jaxtyping import Bool, Float, Int
 
 from bidexdata import frames
 from bidexdata.errors import BadConfig
+from bidexdata.hands.contact_sets import ContactSet
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import PreparedObject
 from bidexdata.record.scene import Scene
@@ -45,6 +46,9 @@ _PLACE_DRAWS = 2
 class PlacementConfig:
     """How palms start. "Measurements, n" is docs/measurements.md, section n."""
 
+    contacts: tuple[ContactSet, ...] = ("fingertips",)
+    """What the hands touch with: `fingertips` (paper), `pads` (fingertips and the links behind them)
+    or `with_palm` (fingertips and places of the palm). Attempts take several in turn."""
     pairs: int = 40
     """Best region pairs that attempts take in turn. Paper 4.2: all K_r = 40.
     Measurements, 2: ranks 1-8 succeed in 91 %, ranks 9-12 in 85 %."""
@@ -86,6 +90,10 @@ class PlacementConfig:
     """Draws per attempt before it counts as not placeable. Ours."""
 
     def __post_init__(self) -> None:
+        if not self.contacts or len(set(self.contacts)) != len(self.contacts):
+            raise BadConfig(
+                "PlacementConfig.contacts must name at least one contact set, each once"
+            )
         ranges = {
             "pairs": (1, 100_000),
             "standoff": (0.0, 1.0),

@@ -81,6 +81,7 @@ _PAPER = (
     ),
     Change("optimise.energy.pad", 0.0, "the paper has no such term"),
     Change("staging.extrapolate", 1.0, "4.4: 2 G - G_pre, base included; BODex moves joints alone"),
+    Change("staging.base_lead", 0.0, "4.4: the squeeze knows no weld"),
     Change("staging.force_floor", 0.0, "4.4: the squeeze is 2 G - G_pre and nothing else"),
     Change("staging.force_per_weight", 0.0, "4.4: the squeeze knows no weight"),
     Change("selection.candidates_per_grasp", 1, "the paper keeps what it makes"),
@@ -93,7 +94,7 @@ _PAPER = (
 )
 
 PAPER_GIVEN = (
-    Kept("contacts", "limitations: only the fingertips"),
+    Kept("placement.contacts", "limitations: only the fingertips"),
     Kept("regions.anchors", "4.2: K_a = 200"),
     Kept("regions.radius", "4.2: 8 cm"),
     Kept(

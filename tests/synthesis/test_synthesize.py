@@ -249,7 +249,7 @@ def test_hands_may_have_any_and_different_numbers_of_contacts(tmp_path, obj):
 
 
 def test_attempts_take_contact_sets_in_turn_and_rows_say_which(obj, hands, scenes):
-    config = SynthConfig(contacts=("fingertips", "with_palm"))
+    config = with_overrides(SynthConfig(), ["placement.contacts=[fingertips, with_palm]"])
     made = synthesize(obj, hands, scenes, config, seed=7, grasps=GRASPS, run_fingerprint="test")
     good = made.select(made["synth_status"] == Status.OK)
     touching = np.sum(good["contact_index"] >= 0, axis=2)
@@ -273,7 +273,8 @@ def test_with_palm_grasps_bring_the_palm_to_the_object(obj, hands):
     scene = [Scene(obj.object_id, 500)]
     found = {}
     for name in ("fingertips", "with_palm"):
-        made = synthesize(obj, hands, scene, SynthConfig(contacts=(name,)), seed=3, grasps=GRASPS)
+        config = with_overrides(SynthConfig(), [f"placement.contacts=[{name}]"])
+        made = synthesize(obj, hands, scene, config, seed=3, grasps=GRASPS)
         good = made.select(made["synth_status"] == Status.OK)
         palm = [
             hand_points(
