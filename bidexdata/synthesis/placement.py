@@ -46,7 +46,7 @@ _PLACE_DRAWS = 2
 class PlacementConfig:
     """How palms start. "Measurements, n" is docs/measurements.md, section n."""
 
-    contacts: tuple[ContactSet, ...] = ("fingertips",)
+    contacts: tuple[ContactSet, ...] = ("fingertips", "with_palm")
     """What the hands touch with: `fingertips` (paper), `pads` (fingertips and the links behind them)
     or `with_palm` (fingertips and places of the palm). Attempts take several in turn."""
     pairs: int = 40

@@ -52,6 +52,7 @@ _PAPER = (
     Change("regions.facing", -2.0, "appendix B: pairs are dropped by the gap alone"),
     Change("regions.least_accessible", 2, "every region is accessible; the least value"),
     Change("regions.diversity", 0.0, "4.2: the best pairs, however alike"),
+    Change("placement.contacts", ("fingertips",), "limitations: contacts at the fingertips alone"),
     Change("placement.over", "palm", "4.2: the palm at the closest point of the dilated hull"),
     Change("placement.roll", 0.0, "appendix B: fingers as close as possible to a given direction"),
     Change("placement.tilt", 0.0, "4.2: orientation aligned with the surface normal"),
@@ -94,7 +95,6 @@ _PAPER = (
 )
 
 PAPER_GIVEN = (
-    Kept("placement.contacts", "limitations: only the fingertips"),
     Kept("regions.anchors", "4.2: K_a = 200"),
     Kept("regions.radius", "4.2: 8 cm"),
     Kept(

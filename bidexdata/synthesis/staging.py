@@ -30,14 +30,14 @@ class StagingConfig:
     "Measurements, n" is docs/measurements.md, section n.
     """
 
-    extrapolate: float = 0.5
+    extrapolate: float = 0.25
     """Squeeze = grasp + extrapolate (grasp - pregrasp) [-]. It presses with whatever force the
     fingers' stiffness gives, the joint torques with balanced ones. Measurements, 15; paper 4.4:
     2 G - G_pre, so 1."""
-    force_floor: float = 15.0
+    force_floor: float = 10.0
     """Sum of a hand's normal forces whose joint torques the squeeze adds, at least [N]; 0 with a
     zero `force_per_weight` leaves the joint torques out (the paper). Measurements, 15."""
-    force_per_weight: float = 8.0
+    force_per_weight: float = 3.0
     """The same per newton of the object's weight [-]. Measurements, 5: at 0.8 m 65 -> 84 %."""
     stiffness: float = 5.0
     """Gain of the position actuators that will follow the target [N m/rad]. Protocol paper-1."""
