@@ -49,6 +49,8 @@ class StagingConfig:
     `force_scale`. Measurements, 5: never reached."""
     density: float = 2.5
     """Density that the weight is computed with [kg/m3]. Paper 6.1."""
+    mass: float = 0.0
+    """Mass that the weight is computed with, in place of the density's; 0 leaves it to that [kg]."""
 
     def __post_init__(self) -> None:
         refuse_outside(self, "extrapolate", 0.0, 10.0)
@@ -58,6 +60,7 @@ class StagingConfig:
         refuse_outside(self, "stiffness", 1e-3, 1e6)
         refuse_outside(self, "largest_offset", 0.0, 3.2)
         refuse_outside(self, "density", 0.0, 1e5)
+        refuse_outside(self, "mass", 0.0, 1e5)
 
 
 class Press(NamedTuple):
