@@ -213,8 +213,9 @@ def _collisions_of(ws: Workspace, h: int, energy: EnergyConfig, reach: Any) -> l
     if ws.has_table:
         arguments = [radius, ws.plane, depth, energy.table_margin, centres]
         calls.append(recorded(ws, k.sphere_plane, each, [*arguments, hand.sphere_energy, push]))
-    arguments = [radius, hand.model.self_pairs, overlap, energy.self_margin, centres]
-    calls.append(recorded(ws, k.sphere_self, one, [*arguments, hand.self_energy, push]))
+    arguments = [radius, hand.model.self_pairs, hand.model.pair_groups, hand.model.group_reach]
+    arguments += [overlap, energy.self_margin, centres, hand.self_energy, push]
+    calls.append(recorded(ws, k.sphere_self, one, arguments))
     arguments = [other_radius, other.points.sphere, other.low, other.high]
     calls.append(recorded(ws, k.hand_box, one, arguments))
     arguments = [radius, other_radius, overlap, energy.inter_margin]

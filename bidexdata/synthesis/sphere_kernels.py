@@ -85,6 +85,8 @@ def sphere_self(
     # Hand:
     radius: wp.array[float],
     pairs: wp.array2d[int],
+    groups: wp.array[wp.vec4i],
+    group_reach: wp.array[float],
     # Energy:
     weight: float,
     margin: float,
@@ -94,22 +96,31 @@ def sphere_self(
     energy_out: wp.array[float],
     gradient_inout: wp.array2d[wp.vec3],
 ):
-    """Squared overlaps of a hand's sphere pairs, one thread per grasp."""
+    """Squared overlaps of a hand's sphere pairs, one thread per grasp.
+
+    A group holds the pairs of two bodies; where the balls around their spheres are apart, so are
+    all its pairs. That changes the cost, not the result.
+    """
     grasp = wp.tid()
     energy = float(0.0)
-    for p in range(pairs.shape[0]):
-        a = pairs[p, 0]
-        b = pairs[p, 1]
-        offset = centres_in[grasp, a] - centres_in[grasp, b]
-        reach = radius[a] + radius[b] + margin
-        squared = wp.length_sq(offset)
-        if squared < reach * reach:
-            d = wp.sqrt(squared)
-            h = reach - d
-            energy += h * h
-            push = (-2.0 * weight * h / wp.max(d, 1.0e-9)) * offset
-            gradient_inout[grasp, a] = gradient_inout[grasp, a] + push
-            gradient_inout[grasp, b] = gradient_inout[grasp, b] - push
+    for g in range(groups.shape[0]):
+        group = groups[g]
+        between = centres_in[grasp, group[0]] - centres_in[grasp, group[1]]
+        far = group_reach[g] + margin
+        if wp.length_sq(between) < far * far:
+            for p in range(group[2], group[3]):
+                a = pairs[p, 0]
+                b = pairs[p, 1]
+                offset = centres_in[grasp, a] - centres_in[grasp, b]
+                reach = radius[a] + radius[b] + margin
+                squared = wp.length_sq(offset)
+                if squared < reach * reach:
+                    d = wp.sqrt(squared)
+                    h = reach - d
+                    energy += h * h
+                    push = (-2.0 * weight * h / wp.max(d, 1.0e-9)) * offset
+                    gradient_inout[grasp, a] = gradient_inout[grasp, a] + push
+                    gradient_inout[grasp, b] = gradient_inout[grasp, b] - push
     energy_out[grasp] = energy
 
 
