@@ -16,6 +16,14 @@ SAFE = wp.constant(0.5)
 FAR_OFF = wp.constant(1.0e9)
 
 
+@wp.struct
+class Box:
+    """Corners of an axis-aligned box."""
+
+    low: wp.vec3
+    high: wp.vec3
+
+
 @wp.kernel
 def sphere_object(
     # Hand:
@@ -147,39 +155,71 @@ def hand_box(
     high_out[grasp] = high
 
 
+@wp.func
+def balls_box(
+    hub: wp.array[int], radius: wp.array[float], centres: wp.array2d[wp.vec3], grasp: int
+) -> Box:
+    """The box around the balls that hold the spheres of a hand's bodies."""
+    box = Box()
+    box.low = wp.vec3(FAR_OFF, FAR_OFF, FAR_OFF)
+    box.high = -box.low
+    for b in range(hub.shape[0]):
+        c = centres[grasp, hub[b]]
+        r = wp.vec3(radius[b], radius[b], radius[b])
+        box.low = wp.min(box.low, c - r)
+        box.high = wp.max(box.high, c + r)
+    return box
+
+
+@wp.func
+def outside(c: wp.vec3, box: Box) -> float:
+    """Squared distance of a point from a box."""
+    return wp.length_sq(c - wp.min(wp.max(c, box.low), box.high))
+
+
 @wp.kernel
-def sphere_other(
-    # Hand:
+def hands_between(
+    # Hands:
     radius: wp.array[float],
     other_radius: wp.array[float],
+    ball_hub: wp.array[int],
+    ball_radius: wp.array[float],
+    other_ball_hub: wp.array[int],
+    other_ball_radius: wp.array[float],
     # Energy:
     weight: float,
     margin: float,
     # Problem in:
     centres_in: wp.array2d[wp.vec3],
     other_in: wp.array2d[wp.vec3],
-    other_low_in: wp.array[wp.vec3],
-    other_high_in: wp.array[wp.vec3],
     # Problem out:
-    energy_out: wp.array2d[float],
+    energy_out: wp.array[float],
     gradient_inout: wp.array2d[wp.vec3],
+    other_gradient_inout: wp.array2d[wp.vec3],
 ):
-    """Squared overlaps of each sphere with the other hand's; half of the energy is each hand's."""
-    grasp, i = wp.tid()
-    c = centres_in[grasp, i]
-    near = radius[i] + margin
-    beside = c - wp.min(wp.max(c, other_low_in[grasp]), other_high_in[grasp])
+    """Squared overlaps of the spheres of one hand with those of the other, one thread per grasp.
+
+    Most hands are apart: only where the boxes around them meet, spheres near a box are tested.
+    """
+    grasp = wp.tid()
+    box = balls_box(ball_hub, ball_radius, centres_in, grasp)
+    other_box = balls_box(other_ball_hub, other_ball_radius, other_in, grasp)
+    beside = wp.max(box.low - other_box.high, other_box.low - box.high)
     energy = float(0.0)
-    if wp.length_sq(beside) < near * near:
-        push = wp.vec3(0.0, 0.0, 0.0)
-        for j in range(other_in.shape[1]):
-            offset = c - other_in[grasp, j]
-            reach = near + other_radius[j]
-            squared = wp.length_sq(offset)
-            if squared < reach * reach:
-                d = wp.sqrt(squared)
-                h = reach - d
-                energy += 0.5 * h * h
-                push += (-2.0 * weight * h / wp.max(d, 1.0e-9)) * offset
-        gradient_inout[grasp, i] = gradient_inout[grasp, i] + push
-    energy_out[grasp, i] = energy
+    if wp.max(beside) < margin:
+        for i in range(centres_in.shape[1]):
+            c = centres_in[grasp, i]
+            near = radius[i] + margin
+            if outside(c, other_box) < near * near:
+                for j in range(other_in.shape[1]):
+                    offset = c - other_in[grasp, j]
+                    reach = near + other_radius[j]
+                    squared = wp.length_sq(offset)
+                    if squared < reach * reach:
+                        d = wp.sqrt(squared)
+                        h = reach - d
+                        energy += h * h
+                        push = (-2.0 * weight * h / wp.max(d, 1.0e-9)) * offset
+                        gradient_inout[grasp, i] = gradient_inout[grasp, i] + push
+                        other_gradient_inout[grasp, j] = other_gradient_inout[grasp, j] - push
+    energy_out[grasp] = energy
