@@ -205,14 +205,14 @@ def _collisions_of(ws: Workspace, h: int, energy: EnergyConfig, reach: Any) -> l
     k, hand = sphere_kernels, ws.hands[h]
     model, centres, push = hand.model, hand.points.sphere, hand.points.sphere_grad
     radius, depth = model.sphere_radius, energy.penetration
-    one, each = (ws.count,), centres.shape
+    one = (ws.count,)
 
     arguments = [reach, ws.field, ws.size, depth, energy.object_margin, centres]
     arguments += [hand.measured, hand.sphere_energy, push]
-    calls = [recorded(ws, k.sphere_object, each, arguments)]
+    calls = [recorded(ws, k.sphere_object, one, arguments)]
     if ws.has_table:
         arguments = [radius, ws.plane, depth, energy.table_margin, centres]
-        calls.append(recorded(ws, k.sphere_plane, each, [*arguments, hand.sphere_energy, push]))
+        calls.append(recorded(ws, k.sphere_plane, one, [*arguments, hand.sphere_energy, push]))
     arguments = [radius, model.self_pairs, model.pair_groups, model.group_reach]
     arguments += [energy.self_penetration, energy.self_margin, centres, hand.self_energy, push]
     calls.append(recorded(ws, k.sphere_self, one, arguments))

@@ -1,7 +1,7 @@
 """Energies of the collision spheres: object, table, the same hand, the other hand.
 
-Axes: N grasps, K spheres of one hand. Every thread writes only its own grasp or sphere, so the
-sums have one order and the bytes repeat. The float64 reference is in `energies.py`.
+Axes: N grasps, K spheres of one hand. Every thread writes only its own grasp, so the sums have one
+order and the bytes repeat. The float64 reference is in `energies.py`.
 """
 
 import warp as wp
@@ -44,23 +44,25 @@ def sphere_object(
     """Squared depth of each sphere in the object's margin; starts the sphere gradient.
 
     Most spheres are far from the object, so the field is read again only when a sphere may have
-    come near it since it was last measured. That changes the cost, not the result.
+    come near it since it was last measured. That changes the cost, not the result. One thread per
+    grasp: a thread costs as much as a sphere that stays clear.
     """
-    grasp, i = wp.tid()
-    c = centres_in[grasp, i]
-    last = measured_inout[grasp, i]
-    energy = float(0.0)
-    gradient = wp.vec3(0.0, 0.0, 0.0)
-    moved = c - wp.vec3(last[0], last[1], last[2])
-    if last[3] <= 0.0 or wp.length_sq(moved) > last[3] * last[3]:
-        s = signed_distance(field, size[grasp], c)
-        clear = s[0] - radius[i] - margin
-        if clear < 0.0:
-            energy = clear * clear
-            gradient = (2.0 * weight * clear) * wp.vec3(s[1], s[2], s[3])
-        measured_inout[grasp, i] = wp.vec4(c[0], c[1], c[2], SAFE * clear)
-    energy_out[grasp, i] = energy
-    gradient_out[grasp, i] = gradient
+    grasp = wp.tid()
+    for i in range(centres_in.shape[1]):
+        c = centres_in[grasp, i]
+        last = measured_inout[grasp, i]
+        energy = float(0.0)
+        gradient = wp.vec3(0.0, 0.0, 0.0)
+        moved = c - wp.vec3(last[0], last[1], last[2])
+        if last[3] <= 0.0 or wp.length_sq(moved) > last[3] * last[3]:
+            s = signed_distance(field, size[grasp], c)
+            clear = s[0] - radius[i] - margin
+            if clear < 0.0:
+                energy = clear * clear
+                gradient = (2.0 * weight * clear) * wp.vec3(s[1], s[2], s[3])
+            measured_inout[grasp, i] = wp.vec4(c[0], c[1], c[2], SAFE * clear)
+        energy_out[grasp, i] = energy
+        gradient_out[grasp, i] = gradient
 
 
 @wp.kernel
@@ -79,13 +81,15 @@ def sphere_plane(
     gradient_inout: wp.array2d[wp.vec3],
 ):
     """Squared depth of each sphere under the plane n.x + w = 0 of its grasp (n = 0: no plane)."""
-    grasp, i = wp.tid()
+    grasp = wp.tid()
     n = wp.vec3(plane[grasp][0], plane[grasp][1], plane[grasp][2])
     if wp.length_sq(n) > 0.0:
-        d = wp.dot(n, centres_in[grasp, i]) + plane[grasp][3]
-        h = wp.max(radius[i] + margin - d, 0.0)
-        energy_inout[grasp, i] = energy_inout[grasp, i] + h * h
-        gradient_inout[grasp, i] = gradient_inout[grasp, i] - (2.0 * weight * h) * n
+        for i in range(centres_in.shape[1]):
+            d = wp.dot(n, centres_in[grasp, i]) + plane[grasp][3]
+            h = radius[i] + margin - d
+            if h > 0.0:
+                energy_inout[grasp, i] = energy_inout[grasp, i] + h * h
+                gradient_inout[grasp, i] = gradient_inout[grasp, i] - (2.0 * weight * h) * n
 
 
 @wp.kernel

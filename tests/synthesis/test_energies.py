@@ -364,7 +364,7 @@ def test_sphere_kernels_equal_the_reference():
     e, out = poison((N, K)), poison((N, K), wp.vec3)
     measured = wp.zeros((N, K), dtype=wp.vec4)
     args = [floats(radius), field_of(grid), floats(size), 3.0, 0.001, vectors(x)]
-    launch(k.sphere_object, (N, K), args, [measured, e, out])
+    launch(k.sphere_object, N, args, [measured, e, out])
     terms = [
         energies.sphere_object_energy(*signed_distance(grid, s, row), radius, 0.001)
         for s, row in zip(size, x, strict=True)
@@ -375,7 +375,7 @@ def test_sphere_kernels_equal_the_reference():
     before, energy = out.numpy().copy(), e.numpy().copy()
     plane = np.array([[0, 0, 1, 0.05], [0, 0.6, 0.8, 0.01], [0, 0, 0, 0]])
     args = [floats(radius), wp.array(plane.astype(np.float32), dtype=wp.vec4), 3.0, 0.002]
-    launch(k.sphere_plane, (N, K), [*args, vectors(x)], [e, out])
+    launch(k.sphere_plane, N, [*args, vectors(x)], [e, out])
     term = energies.sphere_plane_energy(x[:2], plane[:2], radius, 0.002)
     np.testing.assert_allclose(out.numpy()[:2] - before[:2], 3 * term.gradient, atol=1e-4)
     assert np.array_equal(out.numpy()[2], before[2])
@@ -475,7 +475,7 @@ def test_remembering_clearances_changes_no_energy():
         for measured in (memory, wp.zeros((N, K), dtype=wp.vec4)):
             e, out = poison((N, K)), poison((N, K), wp.vec3)
             args = [radius, field_of(grid), size, 3.0, 0.001, vectors(x)]
-            launch(k.sphere_object, (N, K), args, [measured, e, out])
+            launch(k.sphere_object, N, args, [measured, e, out])
             results.append((e.numpy().copy(), out.numpy().copy()))
         assert np.array_equal(results[0][0], results[1][0])
         assert np.array_equal(results[0][1], results[1][1])
