@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from bidexdata.synthesis import chain
 from bidexdata.wrench.qp import allocate_contact_qp, solve_contact_qp
-from bidexdata.wrench.qp_groups import qp_groups, zero_target
+from bidexdata.wrench.qp_groups import axis_targets, qp_groups, zero_target
 
 if TYPE_CHECKING:
     from bidexdata.simulation.compliance import WeldStiffness
@@ -59,20 +59,23 @@ def shifted_residual(
     ws: Workspace,
     closure: ClosureConfig,
     normal_step: float,
+    load: Float[np.ndarray, " N"],
     *,
     shift: float,
     sets: int,
     iterations: int,
 ) -> Float[np.ndarray, " N"]:
-    """Mean coupled zero-load residual of contacts that lie a little elsewhere [-].
+    """Mean coupled residual of contacts that lie a little elsewhere, under a load [-].
 
     Fingers touch where they happen to, about a centimetre from where they were meant to; a grasp
-    whose balance needs exact places is a bad one.
+    whose balance needs exact places is a bad one. And they must carry the object, whichever way it
+    is turned: the sets take a load along +-x, +-y, +-z in turn.
 
     Args:
         ws: Holds the contacts.
         closure: Constants of the QP.
         normal_step: Half width of the differences that give normals [m].
+        load: Force on the object that must be balanced, in units of what a hand presses with.
         shift: How far each contact is moved along the surface [m].
         sets: Number of moved sets per grasp, each with directions of its own.
         iterations: QP iterations from zero.
@@ -113,28 +116,47 @@ def shifted_residual(
         device=device,
     )
     groups = qp_groups(ws.contacts_per_hand, "coupled")
-    qp = allocate_contact_qp(rows[0], groups, zero_target(), device=device)
+    carried = np.zeros((ws.count, sets, 1, 2, 3))
+    along = axis_targets()[np.arange(sets) % len(axis_targets()), 0]
+    carried[:, :, 0, 0] = closure.qp.gamma / closure.qp.beta * load[:, None, None] * along
+    targets = carried.reshape(rows[0], 1, 2, 3)
+    qp = allocate_contact_qp(rows[0], groups, targets, device=device)
     solve_contact_qp(points, normals, length, qp, closure.qp, iterations=iterations)
     return qp.residual.numpy().reshape(ws.count, sets).astype(np.float64).mean(axis=1)
+
+
+def wanted_press(
+    mass: Float[np.ndarray, " N"], floor: float, per_weight: float
+) -> Float[np.ndarray, " N"]:
+    """Sum of the normal forces that each hand is to press with [N].
+
+    Args:
+        mass: Of the object [kg].
+        floor: Least sum of a hand's normal forces [N].
+        per_weight: The same per newton of weight [-].
+    """
+    return np.asarray(np.maximum(floor, per_weight * GRAVITY * mass))
+
+
+def weight_share(
+    mass: Float[np.ndarray, " N"], wanted: Float[np.ndarray, " N"]
+) -> Float[np.ndarray, " N"]:
+    """The object's weight over what each hand presses with [-]; 0 where that is nothing."""
+    return np.asarray(np.where(wanted > 0, GRAVITY * mass / np.maximum(wanted, 1e-9), 0.0))
 
 
 def force_scales(
     forces: Float[np.ndarray, "N 2 C 3"],
     normals_in: Float[np.ndarray, "N 2 C 3"],
-    mass: Float[np.ndarray, " N"],
-    floor: float,
-    per_weight: float,
+    wanted: Float[np.ndarray, " N"],
 ) -> Float[np.ndarray, "N 2"]:
-    """Newtons per unit of force, so that each hand presses with max(floor, per_weight m g).
+    """Newtons per unit of force, so that each hand presses as `wanted_press` says.
 
     Args:
         forces: Of the coupled QP [caps].
         normals_in: Inward unit normals.
-        mass: Of the object [kg].
-        floor: Least sum of a hand's normal forces [N].
-        per_weight: The same per newton of weight [-].
+        wanted: [N].
     """
-    wanted = np.maximum(floor, per_weight * GRAVITY * mass)
     pressed = np.sum(np.sum(forces * normals_in, axis=-1), axis=-1)
     return np.where(pressed > 1e-6, wanted[:, None] / np.maximum(pressed, 1e-6), 0.0)
 

@@ -23,6 +23,8 @@ from bidexdata.synthesis.forces import (
     force_scales,
     joint_torques,
     shifted_residual,
+    wanted_press,
+    weight_share,
 )
 from bidexdata.synthesis.methods import MethodConfig, Search, method_of
 from bidexdata.synthesis.optimise import Optimised
@@ -209,26 +211,19 @@ def _grasp_set(
     found = search(obj, views, attempts, config, device=device)
     forces = contact_forces(found.workspace, config.closure, config.selection.residual_iterations)
     select, staging = config.selection, config.staging
+    masses = [staging.mass or obj.mass(a.scene.size, staging.density) for a in attempts]
+    mass = np.repeat(masses, [len(a.start.size) for a in attempts])
+    wanted = wanted_press(mass, staging.force_floor, staging.force_per_weight)
     shifted = shifted_residual(
         found.workspace,
         config.closure,
         config.normal_step,
+        select.weight * weight_share(mass, wanted),
         shift=select.shift,
         sets=select.shifted_sets,
         iterations=select.shifted_iterations,
     )
-    scale = force_scales(
-        forces.forces,
-        found.normals_in,
-        np.concatenate(
-            [
-                np.full(len(a.start.size), staging.mass or obj.mass(a.scene.size, staging.density))
-                for a in attempts
-            ]
-        ),
-        staging.force_floor,
-        staging.force_per_weight,
-    )
+    scale = force_scales(forces.forces, found.normals_in, wanted)
     pressing = forces.forces * scale[:, :, None, None]
     press = Press(
         joint_torques(found.workspace, pressing),

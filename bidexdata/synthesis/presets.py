@@ -176,6 +176,7 @@ PAPER_IDLE = (
     Kept("selection.residual_iterations", "of a residual that only stands in the record"),
     Kept("selection.contact_tolerance", "of a check that is off"),
     Kept("selection.shift", "of an order that keeps everything"),
+    Kept("selection.weight", "of an order that keeps everything"),
     Kept("selection.shifted_sets", "of an order that keeps everything"),
     Kept("selection.shifted_iterations", "of an order that keeps everything"),
 )

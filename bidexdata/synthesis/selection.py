@@ -41,6 +41,9 @@ class SelectionConfig:
     shift: float = 0.012
     """How far contacts are moved for the shifted residual, by which attempts are ordered [m].
     Measurements, 14."""
+    weight: float = 1.0
+    """Share of the object's weight that moved contacts must carry along the six axes in turn, pressed
+    as hard as the squeeze will press [-]; 0 leaves it out. Ours."""
     shifted_sets: int = 12
     """Moved sets of contacts per attempt [-]. Measurements, 14."""
     shifted_iterations: int = 60
@@ -66,6 +69,7 @@ class SelectionConfig:
             refuse_outside(self, name, 0.0, 1.0)
         refuse_outside(self, "largest_residual", 0.0, 1e6)
         refuse_outside(self, "apart", 0.0, 10.0)
+        refuse_outside(self, "weight", 0.0, 100.0)
         refuse_outside(self, "shift", 0.0, 0.1)
         refuse_outside(self, "shifted_sets", 1, 1000)
         for name in ("residual_iterations", "shifted_iterations"):

@@ -69,7 +69,8 @@ class ContactQP:
     contact_hand: wp.array
     """Hand of each contact place, -1 for padding, (M,) int."""
     targets: wp.array
-    """Target force and torque over torque length, times beta in the solver, (T, 2) vec3."""
+    """Target force and torque over torque length, times beta in the solver, (N or 1, T, 2) vec3;
+    one row stands for all grasps."""
     forces: wp.array
     """Forces on the object in the frame of the points [caps], start and result, (N, L, T, M)
     vec3."""
@@ -86,7 +87,7 @@ class ContactQP:
 def allocate_contact_qp(
     count: int,
     groups: QPGroups,
-    targets: Float[np.ndarray, "T 2 3"] | None = None,
+    targets: Float[np.ndarray, "*n T 2 3"] | None = None,
     *,
     device: str = "cpu",
 ) -> ContactQP:
@@ -95,20 +96,22 @@ def allocate_contact_qp(
     Args:
         count: N.
         groups: From `qp_groups`.
-        targets: Unit target wrenches; the paper's six axis forces when omitted.
+        targets: Unit target wrenches, the same for all grasps or with a leading axis N; the paper's
+            six axis forces when omitted.
         device: Warp device.
     """
     import warp as wp
 
     start_warp()
     targets = axis_targets() if targets is None else np.asarray(targets, np.float32)
+    targets = targets.reshape(-1, *targets.shape[-3:])
     starts = np.arange(len(groups.contacts), dtype=np.int32) * groups.stride
     stops = starts + np.array(groups.contacts, np.int32)
     hand = np.full(groups.width, -1, np.int32)
     for h, (start, stop) in enumerate(zip(starts, stops, strict=True)):
         hand[start:stop] = h
-    tasks = (count, groups.count, len(targets))
-    places = (count, groups.layers, len(targets), groups.width)
+    tasks = (count, groups.count, targets.shape[1])
+    places = (count, groups.layers, targets.shape[1], groups.width)
 
     def ints(values: Any) -> wp.array:
         return wp.array(np.asarray(values, np.int32), dtype=int, device=device)

@@ -108,7 +108,7 @@ def contact_qp_kernel(
     group_layer: wp.array[int],
     hand_start: wp.array[int],
     hand_stop: wp.array[int],
-    targets: wp.array2d[wp.vec3],
+    targets: wp.array3d[wp.vec3],
     mu: float,
     gamma: float,
     cap: float,
@@ -129,8 +129,9 @@ def contact_qp_kernel(
     h0 = group_first_hand[k]
     h1 = h0 + group_hands[k]
     inv_length = 1.0 / length_in[p]
-    target_f = beta * targets[t, 0]
-    target_t = beta * targets[t, 1]
+    mine = p % targets.shape[0]
+    target_f = beta * targets[mine, t, 0]
+    target_t = beta * targets[mine, t, 1]
     points = points_in[p]
     normals = normals_in[p]
     force = forces[p, layer, t]

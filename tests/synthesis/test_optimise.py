@@ -19,6 +19,8 @@ from bidexdata.synthesis.forces import (
     force_scales,
     joint_torques,
     shifted_residual,
+    wanted_press,
+    weight_share,
 )
 from bidexdata.synthesis.optimise import closure_problem, optimise
 from bidexdata.synthesis.optimise_config import (
@@ -441,21 +443,33 @@ def test_each_hand_presses_as_hard_as_the_weight_asks(body, hands):
     found = optimise(body, hands, facing_start(hands, 4), OptimiseConfig())
     forces = contact_forces(found.workspace, ClosureConfig(), 150)
     mass = np.array([0.0, 0.01, 0.1, 1.0])
-    scale = force_scales(forces.forces, found.normals_in, mass, 3.0, 8.0)
+    scale = force_scales(forces.forces, found.normals_in, wanted_press(mass, 3.0, 8.0))
     pressed = np.sum(forces.forces * found.normals_in, axis=(2, 3)) * scale
     np.testing.assert_allclose(pressed, np.tile([[3.0], [3.0], [7.84], [78.4]], (1, 2)), rtol=1e-5)
     assert np.all(forces.residual >= 0)
 
 
-def shifted(workspace, shift, mu=0.3):
+def shifted(workspace, shift, mu=0.3, weight=0.0):
     closure, step = ClosureConfig(qp=QPConfig(mu=mu)), EnergyConfig().normal_step
-    return shifted_residual(workspace, closure, step, shift=shift, sets=8, iterations=150)
+    load = np.full(workspace.count, weight)
+    return shifted_residual(workspace, closure, step, load, shift=shift, sets=12, iterations=150)
 
 
 def test_contacts_that_stay_have_the_coupled_residual(body, hands):
     found = optimise(body, hands, facing_start(hands, 4), short())
     plain = contact_forces(found.workspace, ClosureConfig(), 150).residual
     np.testing.assert_allclose(shifted(found.workspace, 0.0), plain, rtol=0.02, atol=1e-5)
+
+
+def test_heavier_objects_leave_more_residual_and_what_friction_holds_none(body, hands):
+    """Each hand presses with 1; all ten contacts at their cap of 1 hold less than 10 (1 + mu)."""
+    found = optimise(body, hands, facing_start(hands, 4), short())
+    means = [shifted(found.workspace, 0.0, weight=w).mean() for w in (0.0, 0.1, 3.0, 14.0)]
+    assert means[0] <= means[1] + 1e-6
+    assert means[1] < 0.01
+    assert means[1] < means[2] < means[3]
+    assert means[3] > (14.0 - 10 * 1.3) ** 2
+    np.testing.assert_allclose(weight_share(np.array([0.0, 1.0]), np.array([0.0, 4.9])), [0, 2])
 
 
 def test_a_balance_that_needs_exact_places_is_lost_when_they_move(body, hands):

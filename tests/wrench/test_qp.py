@@ -320,3 +320,15 @@ def test_more_pressure_than_the_caps_allow_ends_at_the_caps():
 def test_impossible_constants_are_refused_by_name(change):
     with pytest.raises(BadConfig, match=f"QPConfig.{next(iter(change))}"):
         QPConfig(**change)
+
+
+def test_targets_of_each_grasp_are_those_of_all_one_by_one():
+    arrays = device_arrays(*grasps(6, seed=12), np.full(6, LENGTH))
+    own = axis_targets()[:, None]  # one of the six axes for each of the six grasps
+    groups = qp_groups((5, 5), "coupled")
+    found = allocate_contact_qp(6, groups, own)
+    solve_contact_qp(*arrays, found, CONFIG, iterations=60)
+    for t, target in enumerate(axis_targets()):
+        one = allocate_contact_qp(6, groups, target[None])
+        solve_contact_qp(*arrays, one, CONFIG, iterations=60)
+        assert np.array_equal(found.residual.numpy()[t], one.residual.numpy()[t])
