@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -28,8 +29,12 @@ def set_numbers(hand: Hand, name: ContactSet) -> IntArray:
     return np.flatnonzero([part in parts for part in hand.contact_part]).astype(np.int32)
 
 
+@lru_cache(maxsize=32)
 def contact_view(hand: Hand, name: ContactSet) -> Hand:
-    """Give the hand with the contact points of one set only; all else is shared."""
+    """Give the hand with the contact points of one set only, the same one each time.
+
+    All else is shared.
+    """
     kept = set_numbers(hand, name)
     return replace(
         hand,

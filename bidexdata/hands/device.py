@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -81,8 +82,9 @@ class HandState:
     """Sums per body, two of (N, B) vec3."""
 
 
+@lru_cache(maxsize=8)
 def device_hand(hand: Hand, device: str = "cpu") -> DeviceHand:
-    """Copy a hand to a device.
+    """Copy a hand to a device, once: no kernel writes to it.
 
     Raises:
         BadConfig: A joint follows more than one free variable.

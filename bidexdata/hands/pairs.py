@@ -68,33 +68,49 @@ def pair_groups(hand: Hand) -> PairGroups:
     """Group `hand.self_pairs` by the bodies of their spheres."""
     pairs = hand.self_pairs.reshape(-1, 2)
     bodies = hand.sphere_body[pairs]
-    ordered = np.where((bodies[:, :1] > bodies[:, 1:]), pairs[:, ::-1], pairs)
+    ordered = np.where(bodies[:, :1] > bodies[:, 1:], pairs[:, ::-1], pairs)
     order = np.lexsort((*ordered.T[::-1], bodies.max(axis=1), bodies.min(axis=1)))
     pairs = ordered[order]
     bodies = hand.sphere_body[pairs]
     first = np.flatnonzero(np.any(np.diff(bodies, axis=0, prepend=-1) != 0, axis=1))
-    ends = np.stack([first, np.append(first[1:], len(pairs))[: len(first)]], axis=1)
-    balls = [[_ball(hand, np.unique(side)) for side in pairs[a:b].T] for a, b in ends]
-    hubs = np.array([[hub for hub, _ in two] for two in balls], np.int32).reshape(-1, 2)
-    reach = np.array([sum(radius for _, radius in two) for two in balls])
-    return PairGroups(pairs, hubs, ends.astype(np.int32), reach + _ROUNDING)
+    stop = np.append(first[1:], len(pairs))[: len(first)]
+    reach = _reach(hand)
+    one, other = (_balls(reach, side, first) for side in pairs.T)
+    return PairGroups(
+        pairs=pairs,
+        hubs=np.stack([one.hubs, other.hubs], axis=1),
+        ends=np.stack([first, stop], axis=1).astype(np.int32),
+        reach=one.radius + other.radius,
+    )
 
 
 def body_balls(hand: Hand) -> Balls:
     """Put one ball around the spheres of each body."""
-    owned = [np.flatnonzero(hand.sphere_body == b) for b in np.unique(hand.sphere_body)]
-    balls = [_ball(hand, spheres) for spheres in owned]
-    radius = np.array([radius for _, radius in balls]) + _ROUNDING
-    return Balls(np.array([hub for hub, _ in balls], np.int32), radius)
+    order = np.argsort(hand.sphere_body, kind="stable")
+    first = np.flatnonzero(np.diff(hand.sphere_body[order], prepend=-1))
+    return _balls(_reach(hand), order, first)
 
 
-def _ball(hand: Hand, spheres: np.ndarray) -> tuple[int, float]:
-    """Find the smallest ball around spheres of one body whose middle is one of its spheres'."""
-    body = np.flatnonzero(hand.sphere_body == hand.sphere_body[spheres[0]])
-    offset = hand.sphere_pos[body, None] - hand.sphere_pos[spheres]
-    radius = (np.linalg.norm(offset, axis=-1) + hand.sphere_radius[spheres]).max(axis=1)
-    best = int(np.argmin(radius))
-    return int(body[best]), float(radius[best])
+def _reach(hand: Hand) -> FloatArray:
+    """Radius of the ball in the middle of each sphere that holds another [m], (K, K).
+
+    Infinite for spheres of two bodies.
+    """
+    offset = hand.sphere_pos[:, None] - hand.sphere_pos
+    reach = np.sqrt(np.einsum("kni,kni->kn", offset, offset)) + hand.sphere_radius
+    return np.where(hand.sphere_body[:, None] == hand.sphere_body, reach, np.inf)
+
+
+def _balls(reach: FloatArray, spheres: np.ndarray, first: np.ndarray) -> Balls:
+    """Put a ball around each run of spheres of one body, in the middle of one of the body's.
+
+    Args:
+        reach: From `_reach`.
+        spheres: The runs, one after the other.
+        first: Where each run begins.
+    """
+    of_run = np.maximum.reduceat(reach[:, spheres], first, axis=1)
+    return Balls(of_run.argmin(axis=0).astype(np.int32), of_run.min(axis=0) + _ROUNDING)
 
 
 def _may_collide(hand: Hand, model: mujoco.MjModel) -> np.ndarray:

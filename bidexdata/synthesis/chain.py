@@ -18,12 +18,8 @@ from bidexdata.hands.device import backward_arguments, forward_arguments
 from bidexdata.hands.kinematics_kernels import hand_backward, hand_forward
 from bidexdata.synthesis import contact_kernels, distance_field_kernels, sphere_kernels
 from bidexdata.synthesis.update_kernels import adam_step
-from bidexdata.wrench.qp import (
-    ContactQP,
-    QPConfig,
-    contact_qp_gradient,
-    solve_contact_qp,
-)
+from bidexdata.wrench.qp import ContactQP, QPConfig, gradient_arguments, solve_arguments
+from bidexdata.wrench.qp_kernels import contact_qp_gradient_kernel, contact_qp_kernel
 
 if TYPE_CHECKING:
     from bidexdata.synthesis.optimise_config import (
@@ -85,24 +81,13 @@ def closure_term(
 ) -> list[Call]:
     """The lower level, then dQ/dp and dQ/dn at its forces; starts both gradients."""
     c = ws.contacts
-
-    def solve() -> None:
-        solve_contact_qp(
-            c.points, c.normals_in, ws.torque_length, qp, config, iterations=iterations
-        )
-
-    def differentiate() -> None:
-        contact_qp_gradient(
-            c.points,
-            c.normals_in,
-            ws.torque_length,
-            qp,
-            group_weight,
-            c.point_gradient,
-            c.normal_gradient,
-        )
-
-    return [solve, differentiate]
+    problem = (c.points, c.normals_in, ws.torque_length, qp)
+    solve = solve_arguments(*problem, config, iterations)
+    back = gradient_arguments(*problem, group_weight, c.point_gradient, c.normal_gradient)
+    return [
+        recorded(ws, contact_qp_kernel, qp.residual.shape, solve),
+        recorded(ws, contact_qp_gradient_kernel, c.points.shape, back),
+    ]
 
 
 def circling_closure_term(
@@ -133,25 +118,22 @@ def circling_closure_term(
             circle.set_param_at_index(2, closure.turns * next(done) / steps)
             circle.launch()
 
-    def solve() -> None:
-        solve_contact_qp(
-            points, normals, ws.torque_length, qp, closure.qp, iterations=closure.iterations
-        )
-
-    def differentiate() -> None:
-        gradients = (point_gradient, normal_gradient)
-        contact_qp_gradient(points, normals, ws.torque_length, qp, group_weight, *gradients)
+    def start() -> None:
         c.point_gradient.zero_()
         c.normal_gradient.zero_()
 
+    problem = (points, normals, ws.torque_length, qp)
+    solve = solve_arguments(*problem, closure.qp, closure.iterations)
+    differentiate = gradient_arguments(*problem, group_weight, point_gradient, normal_gradient)
     field = [ws.field, ws.size, energy.normal_step]
     to_surface = [*field, centres, distance, slope, points, normals]
     back = [*field, points, normals, point_gradient, normal_gradient, c.centre_gradient]
     return [
         move,
         recorded(ws, distance_field_kernels.closest_surface, shape, to_surface),
-        solve,
-        differentiate,
+        recorded(ws, contact_qp_kernel, qp.residual.shape, solve),
+        recorded(ws, contact_qp_gradient_kernel, shape, differentiate),
+        start,
         recorded(ws, distance_field_kernels.surface_chain, shape, back),
     ]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +36,7 @@ class StartShape(NamedTuple):
     T_palm_hand: Float[np.ndarray, "4 4"]
 
 
+@lru_cache(maxsize=32)
 def start_shapes(hand: Hand, over: str) -> tuple[StartShape, StartShape]:
     """Give the hand in its open and in its curved posture.
 

@@ -68,19 +68,20 @@ def build_regions(
         points, normals = points[number], normals[number]
     count = min(config.anchors, len(points))
     index, filled = _members(points, normals, count, config)
-    mean = normals[index].mean(axis=1, dtype=np.float64)
+    members, member_normals = (np.take(values, index, axis=0) for values in (points, normals))
+    mean = member_normals.mean(axis=1, dtype=np.float64)
     length = np.linalg.norm(mean, axis=-1, keepdims=True)
     # Normals may cancel on a needle's tip; the anchor's own normal stands in there.
     mean = np.where(length > 1e-6, mean / np.maximum(length, 1e-6), normals[:count])
-    offset = points[index] - points[:count, None]
+    offset = members - points[:count, None]
     places = _draw(filled, config.sets * config.contacts, rng)
     drawn = np.take_along_axis(index, places, axis=1).reshape(count, config.sets, config.contacts)
     return Regions(
         anchors=number[:count],
         anchor_points=points[:count].astype(np.float64),
         anchor_normals=normals[:count].astype(np.float64),
-        points=points[index],
-        normals=normals[index],
+        points=members,
+        normals=member_normals,
         mean_normals=mean,
         reach=np.sqrt(np.einsum("aki,aki->ak", offset, offset).max(axis=1)),
         contact_points=points[drawn],
@@ -181,6 +182,11 @@ def _draw(
 ) -> Int[np.ndarray, "A C"]:
     """Draw places of each region without repetition where it holds enough points."""
     lot = rng.random((len(filled), int(filled.max(initial=1))), np.float32)
-    lot[np.arange(lot.shape[1])[None] >= filled[:, None]] = 2.0
-    order = np.argsort(lot, axis=1, kind="stable")
+    place = np.arange(lot.shape[1])
+    lot[place[None] >= filled[:, None]] = 2.0
+    # Positive floats are ordered as their bits are; the place behind them decides between equals.
+    key = (lot.view(np.uint32).astype(np.uint64) << 32) | place.astype(np.uint64)
+    if contacts < lot.shape[1]:
+        key = np.partition(key, contacts, axis=1)[:, :contacts]
+    order = (np.sort(key, axis=1) & 0xFFFFFFFF).astype(np.int64)
     return np.take_along_axis(order, np.arange(contacts)[None] % filled[:, None], axis=1)

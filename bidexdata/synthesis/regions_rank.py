@@ -142,14 +142,15 @@ def diverse(
     Returns:
         Indices of `pairs`, ascending.
     """
-    a, b = anchors[pairs[:, 0]], anchors[pairs[:, 1]]
+    a, b = pairs.T
     free = np.ones(len(pairs), bool)
     picked: list[int] = []
     while len(picked) < keep and free.any():
         i = int(np.argmax(free))
         picked.append(i)
-        straight = np.maximum(_norm(a - a[i]), _norm(b - b[i]))
-        crossed = np.maximum(_norm(a - b[i]), _norm(b - a[i]))
+        from_a, from_b = (_norm(anchors - anchors[end]) for end in pairs[i])
+        straight = np.maximum(from_a[a], from_b[b])
+        crossed = np.maximum(from_b[a], from_a[b])
         free &= np.minimum(straight, crossed) > distance
         free[i] = False
     return np.array(picked, np.int64)

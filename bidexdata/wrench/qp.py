@@ -157,30 +157,23 @@ def solve_contact_qp(
 
     from bidexdata.wrench.qp_kernels import contact_qp_kernel
 
-    wp.launch(
-        contact_qp_kernel,
-        dim=qp.residual.shape,
-        inputs=[
-            points,
-            normals_in,
-            lengths,
-            qp.group_first_hand,
-            qp.group_hands,
-            qp.group_layer,
-            qp.hand_start,
-            qp.hand_stop,
-            qp.targets,
-            config.mu,
-            config.gamma,
-            config.cap,
-            config.beta,
-            iterations,
-            qp.forces,
-            qp.parts,
-        ],
-        outputs=[qp.residual, qp.residual_force, qp.residual_torque],
-        device=qp.forces.device,
-    )
+    arguments = solve_arguments(points, normals_in, lengths, qp, config, iterations)
+    wp.launch(contact_qp_kernel, dim=qp.residual.shape, inputs=arguments, device=qp.forces.device)
+
+
+def solve_arguments(
+    points: wp.array,
+    normals_in: wp.array,
+    lengths: wp.array,
+    qp: ContactQP,
+    config: QPConfig,
+    iterations: int,
+) -> list[Any]:
+    """All arguments of `contact_qp_kernel`, in order; as in `solve_contact_qp`."""
+    groups = [qp.group_first_hand, qp.group_hands, qp.group_layer, qp.hand_start, qp.hand_stop]
+    constants = [config.mu, config.gamma, config.cap, config.beta, iterations]
+    results = [qp.forces, qp.parts, qp.residual, qp.residual_force, qp.residual_torque]
+    return [points, normals_in, lengths, *groups, qp.targets, *constants, *results]
 
 
 def contact_qp_gradient(
@@ -210,25 +203,29 @@ def contact_qp_gradient(
 
     from bidexdata.wrench.qp_kernels import contact_qp_gradient_kernel
 
+    out = (grad_points_out, grad_normals_out)
+    arguments = gradient_arguments(points, normals_in, lengths, qp, group_weight, *out)
     wp.launch(
         contact_qp_gradient_kernel,
         dim=grad_points_out.shape,
-        inputs=[
-            points,
-            normals_in,
-            lengths,
-            qp.group_first_hand,
-            qp.group_hands,
-            qp.group_layer,
-            group_weight,
-            qp.contact_hand,
-            qp.forces,
-            qp.residual_force,
-            qp.residual_torque,
-        ],
-        outputs=[grad_points_out, grad_normals_out],
+        inputs=arguments,
         device=qp.forces.device,
     )
+
+
+def gradient_arguments(
+    points: wp.array,
+    normals_in: wp.array,
+    lengths: wp.array,
+    qp: ContactQP,
+    group_weight: wp.array,
+    grad_points_out: wp.array,
+    grad_normals_out: wp.array,
+) -> list[Any]:
+    """All arguments of `contact_qp_gradient_kernel`, in order; as in `contact_qp_gradient`."""
+    groups = [qp.group_first_hand, qp.group_hands, qp.group_layer, group_weight, qp.contact_hand]
+    found = [qp.forces, qp.residual_force, qp.residual_torque]
+    return [points, normals_in, lengths, *groups, *found, grad_points_out, grad_normals_out]
 
 
 class QPResult(NamedTuple):
