@@ -7,6 +7,7 @@ Poses are in the object frame until the record is written, which is in the world
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from bidexdata.synthesis.forces import (
     shifted_residual,
 )
 from bidexdata.synthesis.methods import MethodConfig, Search, method_of
+from bidexdata.synthesis.opening import opened
 from bidexdata.synthesis.optimise import Optimised
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.rows import scene_rows
@@ -151,6 +153,10 @@ def grasp_attempts(
     """
     method = method_of(config)
     found = (search or method.search)(obj, hands, attempts, config, device=device)
+    if config.staging.opened is not None:
+        palm, joints = config.staging.opened
+        pregrasp = opened(found.grasp, hands, palm=palm, joints=joints)
+        found = replace(found, pregrasp=pregrasp)
     forces = contact_forces(found.workspace, config.closure, config.selection.residual_iterations)
     select, staging = config.selection, config.staging
     shifted = shifted_residual(
