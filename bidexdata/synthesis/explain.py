@@ -147,7 +147,10 @@ def explain_attempt(
     poses = _placement(one, hands, number)
     if row is not None and trace is not None:
         mine = slice(row, row + 1)
-        ends = {"pregrasp": staged.optimised.pregrasp.rows(mine), "squeeze": staged.squeeze.rows(mine)}
+        ends = {
+            "pregrasp": staged.optimised.pregrasp.rows(mine),
+            "squeeze": staged.squeeze.rows(mine),
+        }
         poses = {**trace.poses, **ends}
     return Explanation(
         number=number,
