@@ -77,25 +77,23 @@ def comparison(data: Mapping[str, Any]) -> list[str]:
 
 
 def ablation(data: Mapping[str, Any]) -> list[str]:
-    """Table 3: each row unselected beside the paper's; SGS is that of test l, as there."""
+    """Table 3: each row beside the paper's; SGS is that of test l, as there."""
     head = ["method", "figures", "rows", "SUC-L [%]", "SUC-A [%]", "SGS [1/s]", "PD [mm]"]
     rows: list[Cells] = [[*head, "SPD [mm]", "SUC-F [%]", "configuration"]]
     for name in data["table_3"]:
         row = data["rows"][name]
-        found = row["unselected"]
-        rows.append(
-            [
-                row["title"],
-                "unselected",
-                str(found["rows"]),
-                rate_text(found["suc_l"]),
-                "-",
-                _number(row["sgs"]["l"], 2),
-                *(length_text(found[metric]) for metric in ("pd", "spd")),
-                rate_text(found["suc_f"]),
-                difference(row),
-            ]
-        )
+        for kind in ("unselected", "selected"):
+            found, first = row[kind], kind == "unselected"
+            rows.append(
+                [
+                    *(row["title"], kind, str(found["rows"])),
+                    *(rate_text(found["suc_l"]), "-"),
+                    _number(row["sgs"]["l"], 2) if first else "-",
+                    *(length_text(found[metric]) for metric in ("pd", "spd")),
+                    rate_text(found["suc_f"]),
+                    difference(row) if first else "",
+                ]
+            )
         its = data["paper"]["table_3"].get(name)
         if its is not None:
             shares = [_number(its[f"suc_{test}"], 1, 100.0) for test in "la"]

@@ -55,10 +55,10 @@ PAPER: dict[str, Any] = {
         },
     },
     "table_3": {
-        "ablation_bodex": _table_3(28.3, 12.9, 2.1, 0.18, 0.08),
-        "ablation_r": _table_3(44.4, 39.8, 2.8, 0.13, 0.03),
-        "ablation_r_dc": _table_3(57.7, 49.5, 4.0, 0.15, 0.03),
-        "ablation_r_dc_ps": _table_3(80.8, 71.3, 5.6, 0.15, 0.03),
+        "bodex": _table_3(28.3, 12.9, 2.1, 0.18, 0.08),
+        "paper_r": _table_3(44.4, 39.8, 2.8, 0.13, 0.03),
+        "paper_r_dc": _table_3(57.7, 49.5, 4.0, 0.15, 0.03),
+        "paper_r_dc_ps": _table_3(80.8, 71.3, 5.6, 0.15, 0.03),
     },
     "regions": {
         "paper_random": {"dexgraspnet": 0.0047, "objaverse": 0.0079},

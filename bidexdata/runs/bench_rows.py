@@ -1,8 +1,8 @@
 """The rows of the paper's tables as runs: what each switches, in keys of `synth --set`.
 
-The ablation takes the preset `paper` apart: its last row is the preset, and each row above it lacks
-one part more. So two rows differ in the keys that are named here and in nothing else, but for the
-paper's baseline, which is another method.
+The ablation takes two configurations apart, the preset `paper` and our defaults: a chain's last row is
+the whole, and each row above it lacks one part more. So neighbours differ in the keys that are named
+here and in nothing else, but for the paper's baseline, which is another method.
 """
 
 from __future__ import annotations
@@ -29,17 +29,40 @@ class Change(NamedTuple):
     value: Any
 
 
+class Parts(NamedTuple):
+    """The keys that switch the parts of the paper's ablation off, for one preset."""
+
+    regions: tuple[Change, ...]
+    """R, region initialisation."""
+    decoupled: tuple[Change, ...]
+    """Dc, decoupled force closure."""
+    pregrasp: tuple[Change, ...]
+    """Ps, pre-grasp strategies."""
+
+
 NO_REGIONS = (Change("regions.score", "random"), Change("regions.gap", 0.0))
 """Pairs of regions by lot, whatever their distance: random sampling."""
-NO_R = (*NO_REGIONS, Change("optimise.energy.region", 0.0))
-"""Without region initialisation: the same, and nothing that keeps contacts near their regions."""
-NO_DC = (
-    Change("optimise.closure.groups", "coupled"),
-    Change("optimise.closure.weight_coupled", 1000.0),
-)
-"""Without decoupled force closure: one Q over the contacts of both hands, of the same weight."""
-NO_PS = (Change("staging.opened", [0.01, 0.1]),)
-"""Without pre-grasp strategies: what the paper does with grasps that have no pre-grasp."""
+_NO_R = (*NO_REGIONS, Change("optimise.energy.region", 0.0))
+"""The same, and nothing that keeps contacts near their regions."""
+_COUPLED = Change("optimise.closure.groups", "coupled")
+"""One Q over the contacts of both hands."""
+_OPENED = Change("staging.opened", [0.01, 0.1])
+"""What the paper does with grasps that have no pre-grasp."""
+WITHOUT = {
+    "paper": Parts(
+        _NO_R,
+        (_COUPLED, Change("optimise.closure.weight_coupled", 1000.0)),  # that of the decoupled one
+        (_OPENED,),
+    ),
+    "default": Parts(
+        _NO_R,
+        (_COUPLED,),
+        (
+            *(_OPENED, Change("staging.extrapolate", 1.0)),
+            *(Change("staging.force_floor", 0.0), Change("staging.force_per_weight", 0.0)),
+        ),
+    ),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,6 +115,27 @@ class Row:
         return shlex.join(words)
 
 
+def _ablation(name: str, title: str, preset: str) -> tuple[Row, ...]:
+    """The rows of a preset that lack all three parts, two, and one."""
+    off = WITHOUT[preset]
+    rows = (
+        ("none", "none", "R, Dc and Ps off", (*off.regions, *off.decoupled, *off.pregrasp)),
+        ("r", "+R", "Dc and Ps off", (*off.decoupled, *off.pregrasp)),
+        ("r_dc", "+R+Dc", "Ps off", off.pregrasp),
+    )
+    return tuple(
+        Row(
+            name=f"{name}_{end}",
+            title=f"{title}{part}",
+            says=f"the preset {preset!r} with {says}",
+            setting="tabletop",
+            preset=preset,
+            changes=changes,
+        )
+        for end, part, says, changes in rows
+    )
+
+
 ROWS = (
     Row(
         name="ours_floating",
@@ -102,7 +146,7 @@ ROWS = (
     Row(
         name="ours_tabletop",
         title="Ours (TableTop)",
-        says="the same on a table",
+        says="the same on a table: in the ablation ours with R, Dc and Ps",
         setting="tabletop",
     ),
     Row(
@@ -114,54 +158,30 @@ ROWS = (
         method="bimangrasp",
     ),
     Row(
-        name="ablation_bodex",
+        name="bodex",
         title="Baseline",
         says='"a straightforward extension of BODex" to two hands: BODex\'s method on our kernels '
         "(docs/baselines.md), with the pre-grasp and squeeze that BODex has",
         setting="tabletop",
         method="bodex",
     ),
+    *_ablation("paper", "", "paper"),
     Row(
-        name="ablation_none",
-        title="without R, Dc, Ps",
-        says="no row of the paper: its optimisation with all three parts off, as Baseline differs "
-        "from +R in more than R",
-        setting="tabletop",
-        preset="paper",
-        changes=(*NO_R, *NO_DC, *NO_PS),
-    ),
-    Row(
-        name="ablation_r",
-        title="+R",
-        says="with region initialisation: pairs of regions by the force score, and the region term",
-        setting="tabletop",
-        preset="paper",
-        changes=(*NO_DC, *NO_PS),
-    ),
-    Row(
-        name="ablation_r_dc",
-        title="+R+Dc",
-        says="with decoupled force closure: Q of each hand alone in place of one over both",
-        setting="tabletop",
-        preset="paper",
-        changes=NO_PS,
-    ),
-    Row(
-        name="ablation_r_dc_ps",
+        name="paper_r_dc_ps",
         title="+R+Dc+Ps",
-        says="with pre-grasp strategies: the pre-grasp optimised at 1 cm, the squeeze 2 G - G_pre; "
-        "this is the preset `paper` as it is",
+        says="the preset 'paper' as it is",
         setting="tabletop",
         preset="paper",
     ),
+    *_ablation("ours", "Ours: ", "default"),
 )
 TABLE_2 = ("bimangrasp", "ours_floating", "ours_tabletop")
 """Rows of the comparison, in the paper's order."""
-TABLE_3 = (
-    *("ablation_bodex", "ablation_none", "ablation_r", "ablation_r_dc", "ablation_r_dc_ps"),
-    "ours_tabletop",
-)
-"""Rows of the ablation, the paper's in its order; what is ours last."""
+PAPER_CHAIN = ("paper_none", "paper_r", "paper_r_dc", "paper_r_dc_ps")
+OURS_CHAIN = ("ours_none", "ours_r", "ours_r_dc", "ours_tabletop")
+"""Each row has one part more than the one before."""
+TABLE_3 = ("bodex", *PAPER_CHAIN, *OURS_CHAIN)
+"""Rows of the ablation: the paper's in its order, and ours."""
 
 
 def assignments(changes: Sequence[Change]) -> list[str]:
