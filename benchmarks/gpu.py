@@ -19,9 +19,10 @@ import numpy as np
 from benchmarks.machine import median_seconds
 from benchmarks.objects import hands, prepared
 from benchmarks.report import report
-from bidexdata.config import fingerprint, to_plain
+from bidexdata.config import fingerprint, to_plain, with_overrides
 from bidexdata.devices import start_warp
 from bidexdata.errors import NotUsable
+from bidexdata.hands.contact_sets import contact_view
 from bidexdata.record import GraspBatch, Scene, Status
 from bidexdata.synthesis.attempts import draw_attempts, gather_starts
 from bidexdata.synthesis.config import SynthConfig
@@ -143,13 +144,15 @@ def _verdict_rates(amounts: Amounts, device: str) -> dict[str, dict[str, float]]
 
 def _optimiser(amounts: Amounts, device: str) -> dict[str, dict[str, float]]:
     """Microseconds per bimanual step, per number of attempts in one batch."""
-    config, obj = SynthConfig(), prepared(amounts.families[0])
+    config = with_overrides(SynthConfig(), ["placement.contacts=[fingertips]"])
+    obj = prepared(amounts.families[0])
+    touching = [contact_view(hand, "fingertips") for hand in hands()]
     found = {}
     for count in amounts.starts:
         scene = Scene(obj.object_id, amounts.middle)
         start = gather_starts([draw_attempts(obj, hands(), scene, config, 0, count)])
         work = _synchronised(
-            lambda s=start: optimise(obj, hands(), s, config.optimise, device=device)
+            lambda s=start: optimise(obj, touching, s, config.optimise, device=device)
         )
         seconds, steps = median_seconds(work, repeats=3), config.optimise.steps
         found[str(len(start.size))] = {

@@ -128,6 +128,7 @@ def made_hand(side: str) -> Hand:
         contact_radius=np.array([0.008, 0.007, 0.01])[:C],
         contact_normal=np.array([[0, 0, 1.0], [1.0, 0, 0], [0, -1.0, 0]])[:C],
         contact_finger=("finger",) * C,
+        contact_part=("fingertip",) * C,
         fingers={"finger": names[1:]},
         sphere_body=np.zeros(1, np.int32),
         sphere_pos=np.zeros((1, 3)),

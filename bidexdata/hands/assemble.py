@@ -78,6 +78,7 @@ def _bare_hand(spec: HandSpec, side: Side, mjcf: HandMjcf, tree: HandTree) -> Ha
         contact_radius=np.zeros(0),
         contact_normal=few,
         contact_finger=(),
+        contact_part=(),
         fingers={f: tuple(prefix + b for b in names) for f, names in spec.fingers.items()},
         sphere_body=none,
         sphere_pos=few,
@@ -105,6 +106,7 @@ def _with_pads(spec: HandSpec, hand: Hand) -> Hand:
         contact_radius=np.array([c.radius for c in spec.contacts]),
         contact_normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
         contact_finger=tuple(c.finger for c in spec.contacts),
+        contact_part=tuple(c.part for c in spec.contacts),
         posture_open=_posture(spec.postures.open, hand, "open"),
         posture_curved=_posture(spec.postures.curved, hand, "curved"),
     )

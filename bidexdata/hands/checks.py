@@ -93,7 +93,7 @@ def check_palm(hand: Hand, model: mujoco.MjModel) -> Finding:
     origin, z = hand.T_hand_palm[:3, 3], hand.T_hand_palm[:3, 2]
     T_palm_hand = np.linalg.inv(hand.T_hand_palm)
     ahead = [
-        apply(T_palm_hand, hand_points(hand, q).contact)[:, 2].mean()
+        apply(T_palm_hand, hand_points(hand, q).contact[: hand.fingertips])[:, 2].mean()
         for q in (hand.posture_open, hand.posture_curved)
     ]
     faults = []
@@ -110,10 +110,10 @@ def check_palm(hand: Hand, model: mujoco.MjModel) -> Finding:
             faults.append("palm_frame.z points into the root body; it must lead out of the palm")
     if min(ahead) <= 0:
         faults.append(
-            "the contact points lie behind the palm in a posture; palm_frame.z must point to the "
+            "the fingertips' contact points lie behind the palm in a posture; palm_frame.z must point to the "
             "side on which the fingers close"
         )
-    fine = f"contact points {1e3 * min(ahead):.0f} mm ahead of the palm in the mean"
+    fine = f"fingertips {1e3 * min(ahead):.0f} mm ahead of the palm in the mean"
     return worst("palm", [f"{hand.side}: {f}" for f in faults], f"{hand.side}: {fine}")
 
 
@@ -127,8 +127,9 @@ def check_contacts(hand: Hand, model: mujoco.MjModel) -> Finding:
         body = hand.body_names[hand.contact_body[c]]
         own, pos = shapes[hand.contact_body[c]], hand.contact_pos[c]
         radius, normal = float(hand.contact_radius[c]), hand.contact_normal[c]
-        if body not in hand.fingers[hand.contact_finger[c]]:
-            faults.append(f"{where}: body {body} is none of finger {hand.contact_finger[c]}")
+        finger = hand.contact_finger[c]
+        if finger and body not in hand.fingers[finger]:
+            faults.append(f"{where}: body {body} is none of finger {finger}")
             continue
         if not own:
             faults.append(f"{where}: body {body} has no collision geometry to touch with")
@@ -192,7 +193,7 @@ def depth_along(shapes: list[Shape], start: FloatArray, direction: FloatArray) -
 def check_spheres(hand: Hand, model: mujoco.MjModel) -> Finding:
     """Collision spheres cover the collision geometry and do not stand out of it."""
     faults, least, farthest = [], 1.0, 0.0
-    pads = len(hand.contact_names)
+    pads = hand.fingertips
     for body, shapes in enumerate(body_shapes(model)):
         mine = np.flatnonzero(hand.sphere_body == body)
         name = f"{hand.side} {hand.body_names[body]}"

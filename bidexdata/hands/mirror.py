@@ -137,6 +137,7 @@ def mirrored(
         contact_radius=written.contact_radius,
         contact_normal=np.einsum("cij,cj->ci", contact[:, :3, :3], written.contact_normal),
         contact_finger=written.contact_finger,
+        contact_part=written.contact_part,
         sphere_body=twin[written.sphere_body],
         sphere_pos=_moved(sphere, written.sphere_pos),
         sphere_radius=written.sphere_radius,
@@ -170,11 +171,11 @@ def shape_difference(theirs: list[Shape], mine: list[Shape], T: FloatArray) -> f
 def _refitted(spec: HandSpec, hand: Hand, model: mujoco.MjModel, bodies: IntArray) -> Hand:
     """Give some bodies spheres that are fitted to their own geometry, behind all others."""
     own = fit_spheres(hand, model, spec.spheres)
-    contacts = len(hand.contact_names)
+    tips = hand.fingertips
     kept = ~np.isin(hand.sphere_body, bodies)
-    kept[:contacts] = True
+    kept[:tips] = True
     new = np.isin(own.body, bodies)
-    new[:contacts] = False
+    new[:tips] = False
     hand = replace(
         hand,
         sphere_body=np.concatenate([hand.sphere_body[kept], own.body[new]]),

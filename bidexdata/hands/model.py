@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     import mujoco
 
 Side = Literal["left", "right"]
+Part = Literal["fingertip", "pad", "palm"]
+"""What of a hand a contact point is; a pad is any of a finger's links but its tip."""
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
 
@@ -75,13 +77,15 @@ class Hand:
     contact_normal: FloatArray
     """Outward unit normal of the pad in its body's frame, (C, 3)."""
     contact_finger: tuple[str, ...]
-    """Finger of each contact point, a key of `fingers`."""
+    """Finger of each contact point, a key of `fingers`; empty in the palm."""
+    contact_part: tuple[Part, ...]
+    """What each contact point is; fingertips come first."""
     fingers: dict[str, tuple[str, ...]]
     """Names of each finger's bodies, base to tip."""
 
     # collision model for the optimiser
     sphere_body: IntArray
-    """The first C spheres are the contact spheres, in their order, (K,)."""
+    """The first spheres are the fingertips' contact spheres, in their order, (K,)."""
     sphere_pos: FloatArray
     """In the body's frame [m], (K, 3)."""
     sphere_radius: FloatArray
@@ -106,6 +110,11 @@ class Hand:
     licence_text: str = field(default="", repr=False)
     """The licence as it stands beside the source; empty where the source has no such file. What is
     derived from the source must carry it."""
+
+    @property
+    def fingertips(self) -> int:
+        """Number of contact points that are fingertips: as many spheres are their contact spheres."""
+        return self.contact_part.count("fingertip")
 
     @property
     def root_body(self) -> str:

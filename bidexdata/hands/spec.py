@@ -17,17 +17,16 @@ import numpy as np
 
 from bidexdata.config import fingerprint, from_plain, load_yaml
 from bidexdata.errors import BadConfig
-from bidexdata.hands.model import Side
+from bidexdata.hands.model import Part, Side
 
 Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContactSpec:
-    """One predefined contact point: a small sphere that models a finger pad."""
+    """One predefined contact point: a small sphere that models a finger pad or a place of the palm."""
 
     name: str
-    finger: str
     body: str
     pos: Vector
     """Centre of the sphere in the body's frame [m]."""
@@ -35,8 +34,16 @@ class ContactSpec:
     """[m]."""
     normal: Vector
     """Outward direction in which the pad should meet the object, body frame; any length."""
+    finger: str = ""
+    """Key of `fingers`; empty for a place of the palm."""
+    part: Part = "fingertip"
+    """What of the hand it is; contact sets (contact_sets.py) are made of parts."""
 
     def __post_init__(self):
+        if (self.part == "palm") != (self.finger == ""):
+            raise BadConfig(
+                f"contact {self.name}: name its finger, or say part: palm for a place without one"
+            )
         if not 0 < self.radius < 0.1:
             raise BadConfig(f"contact {self.name}: radius must be in (0, 0.1) m, not {self.radius}")
         if not np.linalg.norm(self.normal) > 1e-6:
@@ -153,7 +160,7 @@ class HandSpec:
         if self.written_for not in self.sides:
             raise BadConfig(f"hand {self.name}: written_for names a side that sides lacks")
         for contact in self.contacts:
-            if contact.finger not in self.fingers:
+            if contact.part != "palm" and contact.finger not in self.fingers:
                 raise BadConfig(
                     f"hand {self.name}: contact {contact.name} names finger {contact.finger!r}; "
                     f"fingers are {', '.join(self.fingers)}"
@@ -166,6 +173,12 @@ class HandSpec:
         if not self.contacts:
             raise BadConfig(
                 f"hand {self.name}: contacts is empty; a hand touches with at least one"
+            )
+        tips = [contact.part == "fingertip" for contact in self.contacts]
+        if not tips[0] or tips != sorted(tips, reverse=True):
+            raise BadConfig(
+                f"hand {self.name}: contacts must begin with the fingertips (at least one); pads and "
+                "places of the palm come behind them"
             )
         names = [contact.name for contact in self.contacts]
         if len(set(names)) != len(names):

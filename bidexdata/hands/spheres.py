@@ -43,13 +43,12 @@ def fit_spheres(hand: Hand, model: mujoco.MjModel, settings: SphereFitSpec) -> S
         model: Its compiled model.
         settings: Radii and tolerances.
     """
-    found = [
-        Spheres(hand.contact_body, np.asarray(hand.contact_pos), np.asarray(hand.contact_radius))
-    ]
+    tips = slice(hand.fingertips)
+    found = [Spheres(hand.contact_body[tips], hand.contact_pos[tips], hand.contact_radius[tips])]
     for body, shapes in enumerate(body_shapes(model)):
         if not shapes:
             continue
-        pads = np.flatnonzero(hand.contact_body == body)
+        pads = np.flatnonzero(hand.contact_body[tips] == body)
         pos, radius = _cover(shapes, hand.contact_pos[pads], hand.contact_radius[pads], settings)
         found.append(Spheres(np.full(len(radius), body, np.int32), pos, radius))
     return Spheres(*(np.concatenate(parts) for parts in zip(*found, strict=True)))

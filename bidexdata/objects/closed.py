@@ -7,6 +7,7 @@ conversion here asks. Double precision throughout.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -51,10 +52,20 @@ def union(solids: Sequence[Manifold]) -> Manifold:
 
 
 def convex_hull(points: NDArray[np.float64]) -> Manifold:
-    """Return the convex hull of points (P, 3); empty when they lie in a plane."""
-    import manifold3d
+    """Return the convex hull of points (P, 3); empty when they lie in a plane.
 
-    return manifold3d.Manifold.hull_points(np.ascontiguousarray(points, np.float64))
+    Of points that nearly coincide, as booleans leave them, manifold3d's hull may lose some (up to 5 %
+    of the volume in 1.4 % of 1900 differences of hulls). Of the extreme ones that Qhull finds it loses
+    none.
+    """
+    import manifold3d
+    from scipy.spatial import ConvexHull, QhullError
+
+    points = np.ascontiguousarray(points, np.float64)
+    # Flat, too few or not finite: manifold3d's own answer.
+    with suppress(QhullError, ValueError):
+        points = points[np.sort(ConvexHull(points).vertices)]
+    return manifold3d.Manifold.hull_points(points)
 
 
 def principal_axes(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -20,6 +20,7 @@ from bidexdata.objects.cuts import overlap_cuts
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepared import TriangleMesh
+from bidexdata.objects.trimmed import trimmed
 from bidexdata.record.status import Status
 
 if TYPE_CHECKING:
@@ -169,14 +170,16 @@ def simplified(solid: Manifold, config: ConvexConfig) -> TriangleMesh:
 def _solid_pieces(
     raw: list[NDArray[np.float64]], mesh: TriangleMesh, config: ConvexConfig
 ) -> tuple[TriangleMesh, ...]:
-    """Hull every raw piece, drop those too small for a simulator, close the cracks between."""
+    """Hull every raw piece, drop those too small for a simulator, close the cracks between, trim."""
     hulls = [convex_hull(v) for v in raw if len(v) >= 4 and np.all(np.isfinite(v))]
     hulls = [h for h in hulls if not h.is_empty() and h.volume() > 0]
     total = sum(h.volume() for h in hulls)
     kept = [as_mesh(h) for h in hulls if h.volume() >= config.min_volume * total]
     kept = [piece for piece in kept if thinnest(piece.vertices) > _FLAT]
     whole = overlap_cuts(kept, mesh, config.overlap) if len(kept) > 1 else kept
-    return tuple(_few_vertices(convex_hull(piece.vertices), config) for piece in whole)
+    few = [_few_vertices(convex_hull(piece.vertices), config) for piece in whole]
+    less = [piece for piece in trimmed(few) if thinnest(piece.vertices) > _FLAT]
+    return tuple(_few_vertices(convex_hull(piece.vertices), config) for piece in less)
 
 
 def _few_vertices(hull: Manifold, config: ConvexConfig) -> TriangleMesh:

@@ -56,7 +56,7 @@ def hand_view_parts(hand: Hand, joints: NDArray[np.float64], shown: Shown) -> li
     T = frames.invert(hand.T_hand_palm)
     quat = frames.quat_from_matrix(T[:3, :3])
     points = hand_points(hand, joints, T[:3, 3], quat)
-    count = len(hand.contact_names)
+    count = hand.fingertips
     if shown == "meshes":
         parts = [hand_part(hand, T[:3, 3], quat, joints)]
     else:

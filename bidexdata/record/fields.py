@@ -98,7 +98,7 @@ _ALL = (
     _f("qp_residual_hand", "float32", "H", "", "", "synth", "grasps", "zero-load QP residual of each hand alone"),
     _f("qp_residual", "float32", "", "", "", "synth", "grasps", "zero-load QP residual of all contacts together, each hand pressing"),
     _f("qp_residual_shifted", "float32", "", "", "", "synth", "grasps", "its mean over contacts that are moved along the surface: what selection goes by"),
-    _f("contact_index", "int16", "H C", "", "", "synth", "contacts", "number of the hand's contact point; -1 where a hand has fewer"),
+    _f("contact_index", "int16", "H C", "", "", "synth", "contacts", "number of the hand's contact point; -1 behind those that the grasp is made with"),
     _f("contact_point", "float32", "H C 3", "m", "object", "synth", "contacts", "object surface point closest to the contact point, at the grasp"),
     _f("contact_normal", "float32", "H C 3", "", "object", "synth", "contacts", "outward unit surface normal there"),
     _f("contact_force", "float32", "H C 3", "cap", "object", "synth", "contacts", "force on the object in the coupled zero-load QP, in units of the cap"),

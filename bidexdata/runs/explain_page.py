@@ -75,7 +75,7 @@ def explain_page(report: ExplainReport, hands: Sequence[Hand], run_fingerprint: 
     if one.moments:
         parts += ["## Distances", _distances(one)]
     if one.finished is not None:
-        parts += ["## Contacts at the grasp", _contacts(one, hands)]
+        parts += ["## Contacts at the grasp", _contacts(one)]
     parts += ["## All attempts of the scene", _attempts(report, run_fingerprint)]
     parts += ["What the pictures and numbers mean: `docs/explain.md` of bidexdata."]
     return "\n\n".join(parts) + "\n"
@@ -99,10 +99,10 @@ def _distances(one: Explanation) -> str:
     return _table(head, rows)
 
 
-def _contacts(one: Explanation, hands: Sequence[Hand]) -> str:
+def _contacts(one: Explanation) -> str:
     done, rows = one.finished, []
     assert done is not None
-    for h, hand in enumerate(hands):
+    for h, hand in enumerate(one.hands):
         for c, name in enumerate(hand.contact_names):
             force, normal = done.forces[h][c], done.normals_in[h][c]
             pressed = float(force @ normal)

@@ -15,8 +15,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bidexdata.frames import matrix_from_quat
+from bidexdata.hands.contact_sets import ContactSet, contact_view, usable_sets
 from bidexdata.record import Scene, Status
-from bidexdata.synthesis.placement import Placement, place_palms
+from bidexdata.synthesis.placement import Placement, interleaved, place_palms
 from bidexdata.synthesis.regions import RegionPairs, select_region_pairs
 from bidexdata.synthesis.table import table_plane
 from bidexdata.synthesis.workspace import Start
@@ -39,12 +40,36 @@ class Attempts:
     region_id: Int[np.ndarray, "M 2"]
     """Anchor of each hand's region; -1 without a region pair."""
     region_score: Float[np.ndarray, " M"]
+    contact_set: tuple[ContactSet, ...]
+    """What the hands of each attempt touch with, (M,)."""
     pairs: RegionPairs
     """What the attempts choose from, best first."""
     placed: Placement | None
     """Region pair and start of every attempt; None without a region pair."""
     start: Start
     """The K starts, in the order of their attempts, object frame."""
+
+    @property
+    def start_sets(self) -> tuple[ContactSet, ...]:
+        """What the hands of each start touch with, (K,)."""
+        return tuple(
+            s for s, ok in zip(self.contact_set, self.status == Status.OK, strict=True) if ok
+        )
+
+    def of_set(self, name: ContactSet) -> Attempts:
+        """Keep the attempts of one contact set, as a search and what follows it need them."""
+        if set(self.contact_set) == {name}:
+            return self
+        kept = np.array([s == name for s in self.contact_set])
+        return replace(
+            self,
+            status=self.status[kept],
+            region_id=self.region_id[kept],
+            region_score=self.region_score[kept],
+            contact_set=(name,) * int(kept.sum()),
+            placed=None,
+            start=self.start.rows(np.array([s == name for s in self.start_sets], bool)),
+        )
 
 
 def scene_seed(seed: int, scene_id: str) -> int:
@@ -82,13 +107,23 @@ def draw_attempts(
     """
     own = scene_seed(seed, scene.scene_id)
     # A region is judged by as many contacts as the hand that comes to it can make.
-    fewest = min(len(hand.contact_names) for hand in hands)
+    fewest = min(hand.fingertips for hand in hands)
     regions = replace(config.regions, contacts=min(config.regions.contacts, fewest))
     pairs = select_region_pairs(obj, scene, regions, np.random.default_rng([own, 0]))
     if len(pairs.score) == 0:
         return _without_start(hands, scene, own, count, pairs)
-    rng = np.random.default_rng([own, 1])
-    placed = place_palms(obj, hands, scene, pairs, config.placement, rng, count, grown=grown)
+    sets = usable_sets(hands, config.placement.contacts)
+    placed = interleaved(
+        [
+            place_palms(
+                *(obj, [contact_view(hand, name) for hand in hands], scene, pairs),
+                *(config.placement, np.random.default_rng([own, 1]), count),
+                grown=grown,
+                kind=(k, len(sets)),
+            )
+            for k, name in enumerate(sets)
+        ]
+    )
     ok, pair = placed.ok, placed.pair_index
     joints = [placed.joints[ok, h, : len(hand.joint_names)] for h, hand in enumerate(hands)]
     nearest_of = config.optimise.energy.region_distance
@@ -107,6 +142,7 @@ def draw_attempts(
         status=np.where(ok, Status.OK, Status.NO_PLACEMENT).astype(np.int8),
         region_id=pairs.anchors[pair],
         region_score=pairs.score[pair],
+        contact_set=tuple(sets[k % len(sets)] for k in range(count)),
         pairs=pairs,
         placed=placed,
         start=start,
@@ -139,6 +175,7 @@ def _without_start(
         status=np.full(count, Status.NO_REGION_PAIR, np.int8),
         region_id=np.full((count, 2), -1),
         region_score=np.full(count, np.nan),
+        contact_set=("fingertips",) * count,
         pairs=pairs,
         placed=None,
         start=Start(

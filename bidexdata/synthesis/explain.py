@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from bidexdata.hands.contact_sets import contact_view
 from bidexdata.hands.kinematics import hand_points
 from bidexdata.record import GraspBatch, Scene, Status
 from bidexdata.synthesis.attempts import Attempts, draw_attempts
@@ -81,6 +82,8 @@ class Explanation:
     """All M of the scene, with the region pairs and placements they have."""
     found: Outcome
     """What became of all M."""
+    hands: tuple[Hand, Hand]
+    """With the contact points that the attempt touches with."""
     order: Int[np.ndarray, " U"]
     """Attempts that may be kept, best first."""
     moments: tuple[Moment, ...]
@@ -136,19 +139,22 @@ def explain_attempt(
     """
     grown = first_attempt > 0
     one = draw_attempts(obj, hands, scene, config, seed, candidates, grown=grown)
-    placed = one.status == Status.OK
+    placed, touching = one.status == Status.OK, one.contact_set[number]
+    views = (contact_view(hands[0], touching), contact_view(hands[1], touching))
     row = int(np.count_nonzero(placed[:number])) if placed[number] else None
-    recorder = None if row is None else Recorder(row, hands, config.optimise)
+    recorder = None
+    if row is not None:
+        recorder = Recorder(one.start_sets[:row].count(touching), views, config.optimise)
     search = partial(search_bilevel, watch=recorder)
-    staged = grasp_attempts(obj, hands, [one], config, device, search=search)
+    staged = grasp_attempts(obj, hands, [one], config, device, searches={touching: search})
     starts = np.arange(np.count_nonzero(placed))
     found = outcome(one, staged, starts, grasps, config.selection)
     trace = None if recorder is None else recorder.trace()
-    poses = _placement(one, hands, number)
+    poses = _placement(one, views, number)
     if row is not None and trace is not None:
         mine = slice(row, row + 1)
         ends = {
-            "pregrasp": staged.optimised.pregrasp.rows(mine),
+            "pregrasp": staged.pregrasp.rows(mine),
             "squeeze": staged.squeeze.rows(mine),
         }
         poses = {**trace.poses, **ends}
@@ -159,9 +165,10 @@ def explain_attempt(
         order=selection_order(
             *(found.status, found.depth, found.residual, found.shifted, config.selection)
         ),
-        moments=tuple(_moment(n, p, obj, hands, scene.size) for n, p in poses.items()),
+        hands=views,
+        moments=tuple(_moment(n, p, obj, views, scene.size) for n, p in poses.items()),
         trace=trace,
-        finished=None if row is None else _finished(staged, row, hands, config.selection),
+        finished=None if row is None else _finished(staged, row, views, config.selection),
         rows=scene_rows(
             *(hands, one, staged, starts, found, config),
             first_attempt=first_attempt,
@@ -200,12 +207,12 @@ def _moment(
 
 
 def _finished(staged: Staged, row: int, hands: Sequence[Hand], config: SelectionConfig) -> Finished:
-    found, forces, deep = staged.optimised, staged.forces, staged.overlaps
+    contacts, deep = staged.contacts, staged.overlaps
     one = slice(row, row + 1)
-    poses = (found.pregrasp, found.grasp, staged.squeeze)
+    poses = (staged.pregrasp, staged.grasp, staged.squeeze)
     finite = np.logical_and.reduce([pose.rows(one).finite() for pose in poses])
     checks = failures(
-        *(finite, found.gaps[one], deep.depth[one], config),
+        *(finite, contacts.gaps[one], deep.depth[one], config),
         among_hands=deep.among_hands[one],
         table=deep.table[one],
     )
@@ -215,12 +222,12 @@ def _finished(staged: Staged, row: int, hands: Sequence[Hand], config: Selection
         return left, right
 
     return Finished(
-        points=per_hand(found.points),
-        normals_in=per_hand(found.normals_in),
-        forces=per_hand(forces.forces),
+        points=per_hand(contacts.points),
+        normals_in=per_hand(contacts.normals_in),
+        forces=per_hand(contacts.forces),
         force_scale=staged.force_scale[row],
-        residual_hand=forces.residual_hand[row],
-        gaps=per_hand(found.gaps),
+        residual_hand=staged.residual_hand[row],
+        gaps=per_hand(contacts.gaps),
         among_hands=float(deep.among_hands[row]),
         table=float(deep.table[row]),
         reasons=tuple(reason for reason, failed in checks.items() if failed[0]),

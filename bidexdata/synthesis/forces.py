@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from bidexdata.wrench.qp import allocate_contact_qp, solve_contact_qp
 from bidexdata.wrench.qp_groups import qp_groups, zero_target
 
 if TYPE_CHECKING:
+    from bidexdata.simulation.compliance import WeldStiffness
     from bidexdata.synthesis.optimise_config import ClosureConfig
     from bidexdata.synthesis.workspace import Workspace
 
@@ -135,6 +137,38 @@ def force_scales(
     wanted = np.maximum(floor, per_weight * GRAVITY * mass)
     pressed = np.sum(np.sum(forces * normals_in, axis=-1), axis=-1)
     return np.where(pressed > 1e-6, wanted[:, None] / np.maximum(pressed, 1e-6), 0.0)
+
+
+class BaseGive(NamedTuple):
+    """How far the hands' bases give way while the fingers press, object frame."""
+
+    shift: Float[np.ndarray, "N 2 3"]
+    """[m]."""
+    turn: Float[np.ndarray, "N 2 3"]
+    """Rotation vectors about the hand frames' origins [rad]."""
+
+
+def base_give(
+    points: Float[np.ndarray, "N 2 C 3"],
+    forces: Float[np.ndarray, "N 2 C 3"],
+    position: Float[np.ndarray, "N 2 3"],
+    stiffness: Sequence[WeldStiffness],
+) -> BaseGive:
+    """Give what a base's target must lead by, so that its weld holds against the fingers' forces.
+
+    Args:
+        points: Where they act, object frame [m].
+        forces: On the object [N].
+        position: Origins of the hand frames [m].
+        stiffness: Of each hand's weld.
+
+    Source:
+        Ours; docs/measurements.md, 17: a weld turns by 5 degrees under 1 N m.
+    """
+    arm = points - position[:, :, None]
+    force, torque = forces.sum(axis=2), np.cross(arm, forces).sum(axis=2)
+    shift, turn = np.array(stiffness).T[..., None]
+    return BaseGive(force / shift, torque / turn)
 
 
 def joint_torques(

@@ -20,7 +20,7 @@ from bidexdata.synthesis.baselines.bodex_config import BodexConfig
 from bidexdata.synthesis.config import SynthConfig
 from bidexdata.synthesis.method_names import DEFAULT_METHOD
 from bidexdata.synthesis.optimise import Optimised, Watch
-from bidexdata.synthesis.staging import squeeze
+from bidexdata.synthesis.staging import Press, squeeze
 
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
@@ -66,10 +66,10 @@ class Search(Protocol):
 
 @runtime_checkable
 class Aim(Protocol):
-    """The squeeze of grasps, given the joint torques that would press."""
+    """The squeeze of grasps, given what would press."""
 
     def __call__(  # noqa: D102
-        self, found: Optimised, torques: Sequence[Any], hands: Sequence[Hand], config: Any
+        self, found: Optimised, press: Press, hands: Sequence[Hand], config: Any
     ) -> Pose: ...
 
 
@@ -101,10 +101,8 @@ def search_bilevel(
     return bilevel.optimise(obj, hands, start, config.optimise, device=device, watch=watch)
 
 
-def _squeeze(
-    found: Optimised, torques: Sequence[Any], hands: Sequence[Hand], config: SynthConfig
-) -> Pose:
-    return squeeze(found.pregrasp, found.grasp, torques, hands, config.staging)
+def _squeeze(found: Optimised, press: Press, hands: Sequence[Hand], config: SynthConfig) -> Pose:
+    return squeeze(found.pregrasp, found.grasp, press, hands, config.staging)
 
 
 _METHODS = {

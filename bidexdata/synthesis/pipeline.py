@@ -6,18 +6,20 @@ Poses are in the object frame until the record is written, which is in the world
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
 
 from bidexdata.frames import quat_multiply, quat_rotate
+from bidexdata.hands.contact_sets import ContactSet, contact_view, set_numbers
 from bidexdata.record import GraspBatch, Scene, Status
 from bidexdata.synthesis.attempts import Attempts
 from bidexdata.synthesis.config import SynthConfig
 from bidexdata.synthesis.forces import (
     ContactForces,
+    base_give,
     contact_forces,
     force_scales,
     joint_torques,
@@ -27,8 +29,10 @@ from bidexdata.synthesis.methods import MethodConfig, Search, method_of
 from bidexdata.synthesis.opening import opened
 from bidexdata.synthesis.optimise import Optimised
 from bidexdata.synthesis.pose import Pose
+from bidexdata.synthesis.readout import Energies
 from bidexdata.synthesis.rows import scene_rows
 from bidexdata.synthesis.selection import SelectionConfig, audit, best, judge
+from bidexdata.synthesis.staging import Press
 
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
@@ -47,12 +51,34 @@ class Overlaps(NamedTuple):
     """Hands and table at the stage where they are deepest in it; 0 without one, (K,)."""
 
 
+class GraspContacts(NamedTuple):
+    """Contacts at the grasps, object frame; behind those of an attempt's set NaN, indices -1."""
+
+    number: np.ndarray
+    """Which of the hand's contact points each is, (K, 2, C)."""
+    points: np.ndarray
+    """Surface points under the pads [m], (K, 2, C, 3)."""
+    normals_in: np.ndarray
+    """Inward unit normals there, (K, 2, C, 3)."""
+    gaps: np.ndarray
+    """Signed distances of the pads from the surface [m], (K, 2, C)."""
+    forces: np.ndarray
+    """Forces on the object of the coupled zero-load QP [caps], (K, 2, C, 3)."""
+
+
 class Staged(NamedTuple):
     """Finished grasps of all scenes, in the order of the starts."""
 
-    optimised: Optimised
+    pregrasp: Pose
+    grasp: Pose
     squeeze: Pose
-    forces: ContactForces
+    energies: Energies
+    """At the grasp."""
+    contacts: GraspContacts
+    residual: np.ndarray
+    """Coupled zero-load QP residual [-], (K,)."""
+    residual_hand: np.ndarray
+    """The same of each hand alone [-], (K, 2)."""
     shifted: np.ndarray
     """Residual of moved contacts [-], (K,)."""
     force_scale: np.ndarray
@@ -139,7 +165,7 @@ def grasp_attempts(
     config: MethodConfig,
     device: str = "cpu",
     *,
-    search: Search | None = None,
+    searches: Mapping[ContactSet, Search] | None = None,
 ) -> Staged:
     """Find the poses of all starts, balance the contact forces, and aim the squeeze.
 
@@ -149,14 +175,41 @@ def grasp_attempts(
         attempts: Of each scene.
         config: All constants; its class says the method.
         device: Warp device.
-        search: In place of the method's own.
+        searches: In place of the method's own, for attempts of some contact sets.
     """
+    names = np.array([name for one in attempts for name in one.start_sets], str)
+    method, own = method_of(config), searches or {}
+    parts, places = [], []
+    # Without any start one empty part says how wide the arrays are.
+    for name in get_args(ContactSet) if len(names) else get_args(ContactSet)[:1]:
+        rows = np.flatnonzero(names == name)
+        if len(names) and not len(rows):
+            continue
+        some = [one.of_set(name) for one in attempts]
+        search = own.get(name, method.search)
+        parts.append(_grasp_set(obj, hands, name, some, config, device, search))
+        places.append(rows)
+    return parts[0] if len(parts) == 1 else _scattered(parts, places)
+
+
+def _grasp_set(
+    obj: PreparedObject,
+    hands: tuple[Hand, Hand],
+    name: ContactSet,
+    attempts: Sequence[Attempts],
+    config: MethodConfig,
+    device: str,
+    search: Search,
+) -> Staged:
+    """Finish attempts that all touch with the same contact set."""
+    from bidexdata.simulation.compliance import weld_stiffness
+
+    views = (contact_view(hands[0], name), contact_view(hands[1], name))
     method = method_of(config)
-    found = (search or method.search)(obj, hands, attempts, config, device=device)
+    found = search(obj, views, attempts, config, device=device)
     if config.staging.opened is not None:
         palm, joints = config.staging.opened
-        pregrasp = opened(found.grasp, hands, palm=palm, joints=joints)
-        found = replace(found, pregrasp=pregrasp)
+        found = replace(found, pregrasp=opened(found.grasp, views, palm=palm, joints=joints))
     forces = contact_forces(found.workspace, config.closure, config.selection.residual_iterations)
     select, staging = config.selection, config.staging
     shifted = shifted_residual(
@@ -176,15 +229,57 @@ def grasp_attempts(
         staging.force_floor,
         staging.force_per_weight,
     )
-    torques = joint_torques(found.workspace, forces.forces * scale[:, :, None, None])
-    target = method.aim(found, torques, hands, config)
+    pressing = forces.forces * scale[:, :, None, None]
+    press = Press(
+        joint_torques(found.workspace, pressing),
+        base_give(
+            found.points, pressing, found.grasp.position, [weld_stiffness(hand) for hand in hands]
+        ),
+    )
+    target = method.aim(found, press, views, config)
     finite = found.pregrasp.finite() & found.grasp.finite() & target.finite()
     stages = (found.pregrasp, found.grasp, target)
     deep = Overlaps(*_depths(obj, hands, attempts, stages, finite))
     status = judge(
         *(finite, found.gaps, deep.depth, select), among_hands=deep.among_hands, table=deep.table
     )
-    return Staged(found, target, forces, shifted, scale, deep, status)
+    return Staged(
+        *(found.pregrasp, found.grasp, target, found.energies),
+        _widened(hands, name, found, forces),
+        *(forces.residual, forces.residual_hand, shifted, scale, deep, status),
+    )
+
+
+def _widened(
+    hands: Sequence[Hand], name: ContactSet, found: Optimised, forces: ContactForces
+) -> GraspContacts:
+    """Give the contacts of a set room for all contact points of the hands."""
+    most = max(len(hand.contact_names) for hand in hands)
+    number = np.full((len(found.gaps), 2, most), -1, np.int16)
+    for h, hand in enumerate(hands):
+        numbers = set_numbers(hand, name)
+        number[:, h, : len(numbers)] = numbers
+
+    def wide(values: np.ndarray) -> np.ndarray:
+        made = np.full((*number.shape, *values.shape[3:]), np.nan)
+        made[:, :, : values.shape[2]] = values
+        made[number < 0] = np.nan
+        return made
+
+    every = (found.points, found.normals_in, found.gaps, forces.forces)
+    return GraspContacts(number, *(wide(values) for values in every))
+
+
+def _scattered(parts: Sequence[Any], places: Sequence[np.ndarray]) -> Any:
+    """Put the rows of each part at their places; parts are trees of tuples of arrays."""
+    first = parts[0]
+    if isinstance(first, tuple):
+        made = [_scattered(fields, places) for fields in zip(*parts, strict=True)]
+        return tuple(made) if type(first) is tuple else type(first)(*made)
+    whole = np.empty((sum(len(rows) for rows in places), *first.shape[1:]), first.dtype)
+    for part, rows in zip(parts, places, strict=True):
+        whole[rows] = part
+    return whole
 
 
 def _depths(
@@ -268,7 +363,7 @@ def outcome(
     status[placed] = staged.status[rows]
     depth, residual, shifted = np.full((3, len(status)), np.nan)
     depth[placed] = staged.overlaps.depth[rows]
-    residual[placed] = staged.forces.residual[rows]
+    residual[placed] = staged.residual[rows]
     shifted[placed] = staged.shifted[rows]
     selected = best(status, depth, residual, shifted, grasps, config)
     drawn = audit(len(status), grasps, np.random.default_rng([one.seed, 2]))

@@ -21,6 +21,7 @@ from jaxtyping import Bool, Float, Int
 
 from bidexdata import frames
 from bidexdata.errors import BadConfig
+from bidexdata.hands.contact_sets import ContactSet
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import PreparedObject
 from bidexdata.record.scene import Scene
@@ -45,6 +46,9 @@ _PLACE_DRAWS = 2
 class PlacementConfig:
     """How palms start. "Measurements, n" is docs/measurements.md, section n."""
 
+    contacts: tuple[ContactSet, ...] = ("fingertips", "with_palm")
+    """What the hands touch with: `fingertips` (paper), `pads` (fingertips and the links behind them)
+    or `with_palm` (fingertips and places of the palm). Attempts take several in turn."""
     pairs: int = 40
     """Best region pairs that attempts take in turn. Paper 4.2: all K_r = 40.
     Measurements, 2: ranks 1-8 succeed in 91 %, ranks 9-12 in 85 %."""
@@ -86,6 +90,10 @@ class PlacementConfig:
     """Draws per attempt before it counts as not placeable. Ours."""
 
     def __post_init__(self) -> None:
+        if not self.contacts or len(set(self.contacts)) != len(self.contacts):
+            raise BadConfig(
+                "PlacementConfig.contacts must name at least one contact set, each once"
+            )
         ranges = {
             "pairs": (1, 100_000),
             "standoff": (0.0, 1.0),
@@ -136,6 +144,7 @@ def place_palms(
     count: int,
     *,
     grown: bool = False,
+    kind: tuple[int, int] = (0, 1),
 ) -> Placement:
     """Place both hands for `count` attempts, which take the region pairs in turn.
 
@@ -148,13 +157,16 @@ def place_palms(
         pairs: At least one region pair, object frame.
         config: Distances and spreads.
         rng: Draws `config.draws` variations of every attempt, used or not.
-        count: M.
+        count: M, of all kinds together.
         grown: Earlier attempts of the scene exist, so every pair may have had its first.
+        kind: (k, n): of `count` attempts only every n-th from the k-th on, when n kinds of attempts
+            take turns; each kind then takes the pairs in their order.
     """
     used = min(len(pairs.score), config.pairs)
-    pair_index = np.arange(count) % used
     draws = _DRAWS + (_PLACE_DRAWS if config.repeats == "region" else 0)
-    lots = rng.random((count, config.draws, 2, draws))
+    lots = rng.random((count, config.draws, 2, draws))[kind[0] :: kind[1]]
+    count = len(lots)
+    pair_index = np.arange(count) % used
     first = (np.arange(count) < used) & (not grown)
     places = _places(pairs, pair_index, first, lots[..., _DRAWS:])
     depth, normal = hull_depth(obj, scene.size, places.reshape(-1, 3))
@@ -203,6 +215,18 @@ def place_palms(
         if not len(todo):
             break
     return Placement(pair_index, pos, quat, _postures(hands, shapes, flat), ok, above)
+
+
+def interleaved(turns: Sequence[Placement]) -> Placement:
+    """Put placements that took turns back into the order of their attempts."""
+    count, n = sum(len(one.ok) for one in turns), len(turns)
+    columns = []
+    for parts in zip(*turns, strict=True):
+        column = np.empty((count, *parts[0].shape[1:]), parts[0].dtype)
+        for k, part in enumerate(parts):
+            column[k::n] = part
+        columns.append(column)
+    return Placement(*columns)
 
 
 def _places(

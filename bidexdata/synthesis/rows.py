@@ -62,7 +62,7 @@ def scene_rows(
     place[attempts.status == Status.OK] = rows
     at = np.flatnonzero(status[kept] == Status.OK)
     _pose(made, attempts.scene, staged, at, place[kept[at]])
-    _figures(made, staged, at, place[kept[at]], header)
+    _figures(made, staged, at, place[kept[at]])
     made["steps"][at] = config.steps
     return GraspBatch(header, made)
 
@@ -93,8 +93,7 @@ def _identify(
 def _pose(
     made: dict[str, np.ndarray], scene: Scene, staged: Staged, at: np.ndarray, rows: np.ndarray
 ) -> None:
-    found = staged.optimised
-    for s, pose in enumerate((found.pregrasp, found.grasp, staged.squeeze)):
+    for s, pose in enumerate((staged.pregrasp, staged.grasp, staged.squeeze)):
         world = pose.rows(rows).moved(np.array(scene.object_pos), np.array(scene.object_quat_wxyz))
         made["hand_pos"][at, :, s] = world.position
         made["hand_quat_wxyz"][at, :, s] = quat_canonical(world.quat_wxyz)
@@ -102,11 +101,8 @@ def _pose(
             made["joints"][at, h, s, : joints.shape[1]] = joints
 
 
-def _figures(
-    made: dict[str, np.ndarray], staged: Staged, at: np.ndarray, rows: np.ndarray, header: Header
-) -> None:
-    found, forces = staged.optimised, staged.forces
-    energies = found.energies
+def _figures(made: dict[str, np.ndarray], staged: Staged, at: np.ndarray, rows: np.ndarray) -> None:
+    energies, contacts = staged.energies, staged.contacts
     for name, values in {
         "energy_qp": energies.closure,
         "energy_distance": energies.distance,
@@ -114,18 +110,16 @@ def _figures(
         "energy_penetration": energies.penetration,
         "energy_self": energies.self_penetration,
         "energy_pad": energies.pad,
-        "qp_residual": forces.residual,
+        "qp_residual": staged.residual,
         "qp_residual_shifted": staged.shifted,
-        "qp_residual_hand": forces.residual_hand,
+        "qp_residual_hand": staged.residual_hand,
         "force_scale": staged.force_scale,
+        "contact_index": contacts.number,
+        "contact_point": contacts.points,
+        "contact_normal": -contacts.normals_in,
+        "contact_force": contacts.forces,
     }.items():
         made[name][at] = values[rows]
-    for h, hand in enumerate(header.hands):
-        count = len(hand.contact_names)
-        made["contact_index"][at, h, :count] = np.arange(count)
-        made["contact_point"][at, h, :count] = found.points[rows, h, :count]
-        made["contact_normal"][at, h, :count] = -found.normals_in[rows, h, :count]
-        made["contact_force"][at, h, :count] = forces.forces[rows, h, :count]
 
 
 def _count(status: np.ndarray) -> dict[str, int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +17,7 @@ from bidexdata.frames import (
     quat_multiply,
     rotation_vector_from_quat,
 )
+from bidexdata.synthesis.forces import BaseGive
 from bidexdata.synthesis.optimise_config import refuse_outside
 from bidexdata.synthesis.pose import Pose
 
@@ -31,17 +32,20 @@ class StagingConfig:
     "Measurements, n" is docs/measurements.md, section n.
     """
 
-    extrapolate: float = 0.5
+    extrapolate: float = 0.25
     """Squeeze = grasp + extrapolate (grasp - pregrasp) [-]. It presses with whatever force the
     fingers' stiffness gives, the joint torques with balanced ones. Measurements, 15; paper 4.4:
     2 G - G_pre, so 1."""
-    force_floor: float = 15.0
+    force_floor: float = 10.0
     """Sum of a hand's normal forces whose joint torques the squeeze adds, at least [N]; 0 with a
     zero `force_per_weight` leaves the joint torques out (the paper). Measurements, 15."""
-    force_per_weight: float = 8.0
+    force_per_weight: float = 3.0
     """The same per newton of the object's weight [-]. Measurements, 5: at 0.8 m 65 -> 84 %."""
     stiffness: float = 5.0
     """Gain of the position actuators that will follow the target [N m/rad]. Protocol paper-1."""
+    base_lead: float = 1.0
+    """How far the base's target leads, as a share of how far the weld of paper-1 gives way under
+    the forces that the joint torques are for [-]. Measurements, 17."""
     largest_offset: float = 0.6
     """Largest change of a joint by the torques [rad]; where it binds, the torques fall short of
     `force_scale`. Measurements, 5: never reached."""
@@ -53,6 +57,7 @@ class StagingConfig:
 
     def __post_init__(self) -> None:
         refuse_outside(self, "extrapolate", 0.0, 10.0)
+        refuse_outside(self, "base_lead", 0.0, 10.0)
         refuse_outside(self, "force_floor", 0.0, 1000.0)
         refuse_outside(self, "force_per_weight", 0.0, 1000.0)
         refuse_outside(self, "stiffness", 1e-3, 1e6)
@@ -67,10 +72,19 @@ class StagingConfig:
                 )
 
 
+class Press(NamedTuple):
+    """What the wanted contact forces ask of each hand."""
+
+    torques: Sequence[Float[np.ndarray, "N D"]]
+    """Generalised torques on the free variables, per hand [N m]."""
+    give: BaseGive
+    """Of the hands' bases."""
+
+
 def squeeze(
     pregrasp: Pose,
     grasp: Pose,
-    torques: Sequence[Float[np.ndarray, "N D"]],
+    press: Press,
     hands: Sequence[Hand],
     config: StagingConfig,
 ) -> Pose:
@@ -79,7 +93,7 @@ def squeeze(
     Args:
         pregrasp: Both hands before closing.
         grasp: Both hands touching.
-        torques: Generalised torques that exert the wanted forces, per hand [N m].
+        press: Exerts the wanted forces.
         hands: Left and right.
         config: How far, and how stiff the actuators are.
 
@@ -94,11 +108,14 @@ def squeeze(
     joints = []
     for h, hand in enumerate(hands):
         on = share * (grasp.joints[h] - pregrasp.joints[h])
-        press = torque_offsets(hand, torques[h], config)
-        joints.append(grasp.joints[h] + on + press)
+        offset = torque_offsets(hand, press.torques[h], config)
+        joints.append(grasp.joints[h] + on + offset)
+    lead = config.base_lead
+    position = grasp.position + share * (grasp.position - pregrasp.position)
+    turn = share * turn + lead * press.give.turn
     return Pose(
-        position=grasp.position + share * (grasp.position - pregrasp.position),
-        quat_wxyz=quat_multiply(quat_from_rotation_vector(share * turn), grasp.quat_wxyz),
+        position=position + lead * press.give.shift,
+        quat_wxyz=quat_multiply(quat_from_rotation_vector(turn), grasp.quat_wxyz),
         joints=(joints[0], joints[1]),
     )
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from bidexdata.devices import start_warp
 from bidexdata.hands.device import DeviceHand, HandState, device_hand, free_limits
@@ -125,6 +125,17 @@ class Start:
     """Points of each hand's region; one point, the anchor, where distances are to it [m]."""
     plane: Float[np.ndarray, "N 4"]
     """Table in the object frame: normal . x + offset >= 0 above it; zeros without a table."""
+
+    def rows(self, which: Bool[np.ndarray, " N"]) -> Start:
+        """Keep some of the starts."""
+        return Start(
+            size=self.size[which],
+            position=self.position[which],
+            rotation=self.rotation[which],
+            joints=(self.joints[0][which], self.joints[1][which]),
+            regions=self.regions[which],
+            plane=self.plane[which],
+        )
 
 
 def free_variables(hand: Hand, joints: Float[np.ndarray, "N J"]) -> Float[np.ndarray, "N D"]:

@@ -20,7 +20,11 @@ def test_contact_spheres_touch_the_pads(hand):
     for c, body in enumerate(hand.contact_body):
         front = hand.contact_pos[c] + hand.contact_radius[c] * hand.contact_normal[c]
         assert abs(depth(shapes[body], front[None])[0]) < 2 * MM, hand.contact_names[c]
-        assert hand.body_names[body] in hand.fingers[hand.contact_finger[c]]
+        if hand.contact_part[c] == "palm":
+            assert hand.contact_finger[c] == ""
+            assert not any(hand.body_names[body] in bodies for bodies in hand.fingers.values())
+        else:
+            assert hand.body_names[body] in hand.fingers[hand.contact_finger[c]]
 
 
 def test_palm_origin_lies_on_the_palm(hand):
@@ -28,11 +32,11 @@ def test_palm_origin_lies_on_the_palm(hand):
     assert abs(depth(shapes, hand.T_hand_palm[None, :3, 3])[0]) < 1 * MM
 
 
-def test_contact_spheres_come_first_among_the_collision_spheres(hand):
-    count = len(hand.contact_names)
-    np.testing.assert_array_equal(hand.sphere_body[:count], hand.contact_body)
-    np.testing.assert_array_equal(hand.sphere_pos[:count], hand.contact_pos)
-    np.testing.assert_array_equal(hand.sphere_radius[:count], hand.contact_radius)
+def test_fingertips_contact_spheres_come_first_among_the_collision_spheres(hand):
+    count = hand.fingertips
+    np.testing.assert_array_equal(hand.sphere_body[:count], hand.contact_body[:count])
+    np.testing.assert_array_equal(hand.sphere_pos[:count], hand.contact_pos[:count])
+    np.testing.assert_array_equal(hand.sphere_radius[:count], hand.contact_radius[:count])
 
 
 def test_spheres_follow_the_collision_geometry(hand):
@@ -101,16 +105,21 @@ def test_built_in_fingertips_agree_with_menagerie(menagerie, edge_joints):
         assert ours.body_names == theirs.body_names
         joints = edge_joints(theirs, 300)
         np.testing.assert_allclose(
-            hand_points(ours, joints).contact, hand_points(theirs, joints).contact, atol=1e-5
+            hand_points(ours, joints).contact[:, : ours.fingertips],
+            hand_points(theirs, joints).contact[:, : theirs.fingertips],
+            atol=1e-5,
         )
         # Farthest points of the tips' geometry, in the hand frame, along directions that turn
         # with the distal links: pad face, pad direction, tip.
         tips = {hand: body_shapes(hand.make_spec().compile()) for hand in (ours, theirs)}
-        for c, body in enumerate(theirs.contact_body):
+        for c, body in enumerate(theirs.contact_body[: theirs.fingertips]):
             for direction in ([0, -1, 0], theirs.contact_normal[c], [0, 0, 1]):
                 reach = [_reach(tips[h][body], np.array(direction, float)) for h in (ours, theirs)]
                 assert abs(reach[0] - reach[1]) < 2 * MM, (theirs.contact_names[c], direction)
-        R = [forward_kinematics(h, joints)[1][:, h.contact_body] for h in (ours, theirs)]
+        R = [
+            forward_kinematics(h, joints)[1][:, h.contact_body[: h.fingertips]]
+            for h in (ours, theirs)
+        ]
         np.testing.assert_allclose(R[0], R[1], atol=1e-4)
 
 
@@ -152,7 +161,7 @@ def test_visual_meshes_lie_on_their_bodies(hand):
     shown = {m.body for m in meshes}
     assert {int(b) for b in hand.contact_body} <= shown
     assert 0 in shown
-    tips = {int(b): c for c, b in enumerate(hand.contact_body)}
+    tips = {int(b): c for c, b in enumerate(hand.contact_body[: hand.fingertips])}
     for body, mesh, rgba in meshes:
         assert mesh.faces.min() >= 0
         assert mesh.faces.max() < len(mesh.vertices)

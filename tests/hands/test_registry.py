@@ -57,7 +57,8 @@ def test_missing_menagerie_names_the_variable_and_the_way_out(tmp_path, monkeypa
 def test_header_carries_what_files_need(hand):
     header = hand.header()
     assert header.joint_names == hand.joint_names
-    assert header.contact_names == ("ff", "mf", "rf", "lf", "th")
+    assert header.contact_names[: hand.fingertips] == ("ff", "mf", "rf", "lf", "th")
+    assert header.contact_names == hand.contact_names
     assert header.root_body.endswith("palm")
     assert len(header.spec_hash) == 64
 

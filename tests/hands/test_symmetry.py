@@ -58,7 +58,7 @@ def test_palm_frame_faces_out_of_the_palm_with_x_along_the_fingers(hand):
     bent = np.zeros(len(hand.joint_names))
     bent[[n.endswith(("FJ3", "FJ2")) for n in hand.joint_names]] = 0.8
     closed = hand_points(hand, bent).contact
-    four = [i for i, f in enumerate(hand.contact_finger) if f != "th"]
+    four = [i for i in range(hand.fingertips) if hand.contact_finger[i] != "th"]
     in_palm = (straight - p) @ R
     assert np.all(in_palm[four, 0] > 0.05)
     assert np.all(((closed - straight) @ R)[four, 2] > 0.02)

@@ -62,7 +62,7 @@ def test_the_solid_is_closed_and_has_a_positive_volume(prepared):
         assert solid.volume() == pytest.approx(obj.volume, rel=1e-5)
         assert obj.volume > 0
         assert np.linalg.norm(np.ptp(obj.solid.vertices, axis=0)) == pytest.approx(1, abs=1e-6)
-        np.testing.assert_allclose(mass_properties(obj.solid).centre, 0, atol=1e-6)
+        np.testing.assert_allclose(mass_properties(obj.solid).centre, 0, atol=1e-5)
         assert len(solid.decompose()) == 1
 
 

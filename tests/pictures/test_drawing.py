@@ -30,7 +30,9 @@ def test_drawn_fingertips_are_where_forward_kinematics_puts_the_pads(hands, batc
         poses = poses_at(batch, 0, stage)
         for h, hand in enumerate(hands):
             part = hand_part(hand, poses.pos[h], poses.quat_wxyz[h], poses.joints[h])
-            pads = hand_points(hand, poses.joints[h], poses.pos[h], poses.quat_wxyz[h]).contact
+            tips = slice(hand.fingertips)
+            points = hand_points(hand, poses.joints[h], poses.pos[h], poses.quat_wxyz[h])
+            pads = points.contact[tips]
             gap = np.linalg.norm(part.vertices[None] - pads[:, None], axis=2).min(axis=1)
             # A drawn vertex lies within a fingertip's length of the middle of every pad ...
             assert np.all(gap < 0.02)

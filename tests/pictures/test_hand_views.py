@@ -27,7 +27,7 @@ def test_every_contact_point_has_a_ball_and_an_arrow_along_its_normal():
     parts = hand_view_parts(hand, hand.posture_curved, "spheres")
     labels = [part.label for part in parts]
     assert labels.count("contact") == 2 * len(hand.contact_names)
-    assert labels.count("right") == len(hand.sphere_body) - len(hand.contact_names)
+    assert labels.count("right") == len(hand.sphere_body) - hand.fingertips
 
 
 def test_contact_points_and_palm_frame_are_seen():

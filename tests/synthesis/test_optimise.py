@@ -7,11 +7,14 @@ import pytest
 
 from bidexdata.frames import matrix_from_quat, quat_angle, quat_multiply, random_quat
 from bidexdata.hands import load_hands
+from bidexdata.hands.contact_sets import contact_view
 from bidexdata.hands.kinematics import forward_kinematics, hand_points
 from bidexdata.objects.prepared import SignedDistanceGrid
 from bidexdata.synthesis import chain
 from bidexdata.synthesis.distance_field import signed_distance
 from bidexdata.synthesis.forces import (
+    BaseGive,
+    base_give,
     contact_forces,
     force_scales,
     joint_torques,
@@ -27,7 +30,7 @@ from bidexdata.synthesis.optimise_config import (
 )
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.readout import read_pose
-from bidexdata.synthesis.staging import StagingConfig, squeeze, torque_offsets
+from bidexdata.synthesis.staging import Press, StagingConfig, squeeze, torque_offsets
 from bidexdata.synthesis.workspace import Start, allocate
 from bidexdata.wrench.qp import QPConfig
 
@@ -56,7 +59,8 @@ class Ellipsoid:
 
 @pytest.fixture(scope="module")
 def hands():
-    return load_hands("capsule")
+    left, right = load_hands("capsule")
+    return contact_view(left, "fingertips"), contact_view(right, "fingertips")
 
 
 @pytest.fixture(scope="module")
@@ -339,12 +343,31 @@ def test_the_squeeze_without_torques_is_the_papers():
     small = np.tile([np.cos(0.1), np.sin(0.1), 0, 0], (3, 2, 1))
     pre = Pose(rng.standard_normal((3, 2, 3)), turn, (joints[0][0], joints[1][0]))
     grasp = Pose(pre.position + 0.01, quat_multiply(small, turn), (joints[0][1], joints[1][1]))
-    zero = [np.zeros((3, h.coupling.shape[1])) for h in hands]
-    target = squeeze(pre, grasp, zero, hands, StagingConfig(extrapolate=1.0))
+    none = [np.zeros((3, h.coupling.shape[1])) for h in hands]
+    still = Press(none, BaseGive(np.zeros((3, 2, 3)), np.zeros((3, 2, 3))))
+    target = squeeze(pre, grasp, still, hands, StagingConfig(extrapolate=1.0))
     np.testing.assert_allclose(target.position, grasp.position + 0.01)
     assert np.all(quat_angle(target.quat_wxyz, quat_multiply(small, grasp.quat_wxyz)) < 1e-9)
     for h in range(2):
         np.testing.assert_allclose(target.joints[h], 2 * grasp.joints[h] - pre.joints[h])
+
+
+def test_the_bases_target_leads_by_what_its_weld_gives_way():
+    """By hand: 5 N along y that act 0.1 m along x of the base's origin, k = 1000 N/m, 10 N m/rad."""
+    points, forces = np.zeros((1, 2, 2, 3)), np.zeros((1, 2, 2, 3))
+    points[0, 0, 0], forces[0, 0, 0] = [0.3, 0, 0], [0, 5, 0]
+    position = np.tile([0.2, 0.0, 0.0], (1, 2, 1))
+    give = base_give(points, forces, position, [(1000.0, 10.0)] * 2)
+    np.testing.assert_allclose(give.shift[0], [[0, 0.005, 0], [0, 0, 0]], atol=1e-12)
+    np.testing.assert_allclose(give.turn[0], [[0, 0, 0.05], [0, 0, 0]], atol=1e-12)
+    hands = load_hands("capsule")
+    joints = (hands[0].posture_open[None], hands[1].posture_open[None])
+    grasp = Pose(position, np.tile([1.0, 0, 0, 0], (1, 2, 1)), joints)
+    press = Press([np.zeros((1, h.coupling.shape[1])) for h in hands], give)
+    target = squeeze(grasp, grasp, press, hands, StagingConfig(base_lead=2.0))
+    np.testing.assert_allclose(target.position - grasp.position, 2 * give.shift)
+    quarter = [np.cos(0.05), 0, 0, np.sin(0.05)]
+    np.testing.assert_allclose(target.quat_wxyz[0, 0], quarter, atol=1e-12)
 
 
 def test_torques_do_the_work_of_the_forces(body, hands):

@@ -8,6 +8,7 @@ import yaml
 
 from bidexdata.config import with_overrides
 from bidexdata.hands import load_hands
+from bidexdata.hands.contact_sets import set_numbers
 from bidexdata.hands.kinematics import hand_points
 from bidexdata.hands.registry import spec_path
 from bidexdata.objects.prepare import prepare_object
@@ -79,7 +80,13 @@ def test_the_header_counts_all_attempts(batch, scenes):
 def test_good_rows_hold_numbers_and_failed_rows_none(batch):
     ok = batch["synth_status"] == Status.OK
     assert ok.any()
-    for name in ("hand_pos", "hand_quat_wxyz", "joints", "contact_point", "qp_residual"):
+    touching = batch["contact_index"] >= 0
+    assert np.all(touching[ok, :, :5])
+    assert not touching[~ok].any()
+    for name in ("contact_point", "contact_normal", "contact_force"):
+        assert np.array_equal(np.isfinite(batch[name]).all(axis=-1), touching), name
+        assert np.array_equal(np.isnan(batch[name]).all(axis=-1), ~touching), name
+    for name in ("hand_pos", "hand_quat_wxyz", "joints", "qp_residual"):
         values = batch[name]
         assert np.isfinite(values[ok]).all(), name
         assert np.isnan(values[~ok]).all(), name
@@ -92,23 +99,25 @@ def test_contact_points_lie_on_the_surface_near_the_pads(batch, obj, hands):
     for row in np.flatnonzero(batch["synth_status"] == Status.OK):
         size = batch["size_mm"][row] / 1000
         for h, hand in enumerate(hands):
-            points = batch["contact_point"][row, h].astype(float)
+            numbers = batch["contact_index"][row, h]
+            slot, number = np.flatnonzero(numbers >= 0), numbers[numbers >= 0]
+            points = batch["contact_point"][row, h, slot].astype(float)
             distance, slope = signed_distance(obj.sdf, size, points)
             assert np.all(np.abs(distance) < 2e-3)
-            assert np.all(np.sum(slope * batch["contact_normal"][row, h], axis=1) > 0.5)
+            assert np.all(np.sum(slope * batch["contact_normal"][row, h, slot], axis=1) > 0.5)
             pads = hand_points(
                 hand,
                 batch["joints"][row, h, 1].astype(float),
                 batch["hand_pos"][row, h, 1].astype(float),
                 batch["hand_quat_wxyz"][row, h, 1].astype(float),
-            ).contact
-            away = np.linalg.norm(pads - points, axis=1) - hand.contact_radius
+            ).contact[number]
+            away = np.linalg.norm(pads - points, axis=1) - hand.contact_radius[number]
             assert np.median(np.abs(away)) < 5e-3
 
 
 def test_contact_forces_obey_their_cones_and_press(batch):
     ok = batch["synth_status"] == Status.OK
-    f, n = batch["contact_force"][ok], -batch["contact_normal"][ok]
+    f, n = np.nan_to_num(batch["contact_force"][ok]), -np.nan_to_num(batch["contact_normal"][ok])
     normal = np.sum(f * n, axis=-1)
     slide = np.linalg.norm(f - normal[..., None] * n, axis=-1)
     closure = SynthConfig().optimise.closure
@@ -229,9 +238,54 @@ def test_hands_may_have_any_and_different_numbers_of_contacts(tmp_path, obj):
     batch = synthesize(obj, mixed, [Scene(obj.object_id, 300)], seed=1, grasps=2)
     made = batch.select(batch["synth_status"] == Status.OK)
     assert len(made) > 0
-    assert np.all(made["contact_index"] == [[0, 1, 2, -1, -1], [0, 1, 2, 3, 4]])
-    pressed = np.linalg.norm(made["contact_force"], axis=-1)
-    assert np.all(np.isnan(pressed[:, 0, 3:]))
+    numbers = made["contact_index"]
+    assert np.all(numbers[:, 0, :3] == [0, 1, 2])
+    assert np.all(numbers[:, 0, 3:] == -1)
+    assert np.all(numbers[:, 1, :5] == [0, 1, 2, 3, 4])
+    assert np.all(np.isnan(made["contact_force"]).all(axis=-1) == (numbers < 0))
     # Each hand presses with at least gamma, whatever the number of its contacts.
     along = -np.sum(made["contact_force"] * made["contact_normal"], axis=-1)
     assert np.all(np.nansum(along, axis=2) > 1 - 1e-3)
+
+
+def test_attempts_take_contact_sets_in_turn_and_rows_say_which(obj, hands, scenes):
+    config = with_overrides(SynthConfig(), ["placement.contacts=[fingertips, with_palm]"])
+    made = synthesize(obj, hands, scenes, config, seed=7, grasps=GRASPS, run_fingerprint="test")
+    good = made.select(made["synth_status"] == Status.OK)
+    touching = np.sum(good["contact_index"] >= 0, axis=2)
+    assert set(touching.ravel().tolist()) == {5, 10}
+    assert np.all(touching == np.where(good["attempt"] % 2 == 0, 5, 10)[:, None])
+    for h, hand in enumerate(hands):
+        for name, rows in (
+            ("fingertips", touching[:, h] == 5),
+            ("with_palm", touching[:, h] == 10),
+        ):
+            numbers = set_numbers(hand, name)
+            assert np.all(good["contact_index"][rows, h, : len(numbers)] == numbers)
+    # Both kinds follow the same pairs: the first two attempts have the best.
+    first = made.select(made["attempt"] < 2)
+    for scene in scenes:
+        ids = first["region_id"][first["scene_id"] == scene.scene_id]
+        assert len(np.unique(ids, axis=0)) <= 1
+
+
+def test_with_palm_grasps_bring_the_palm_to_the_object(obj, hands):
+    scene = [Scene(obj.object_id, 500)]
+    found = {}
+    for name in ("fingertips", "with_palm"):
+        config = with_overrides(SynthConfig(), [f"placement.contacts=[{name}]"])
+        made = synthesize(obj, hands, scene, config, seed=3, grasps=GRASPS)
+        good = made.select(made["synth_status"] == Status.OK)
+        palm = [
+            hand_points(
+                hands[1],
+                good["joints"][row, 1, 1].astype(float),
+                good["hand_pos"][row, 1, 1].astype(float),
+                good["hand_quat_wxyz"][row, 1, 1].astype(float),
+            ).contact[[part == "palm" for part in hands[1].contact_part]]
+            for row in range(len(good))
+        ]
+        gaps = signed_distance(obj.sdf, 0.5, np.concatenate(palm))[0]
+        found[name] = float(np.median(gaps))
+    assert found["with_palm"] < 0.015
+    assert found["fingertips"] > 0.03

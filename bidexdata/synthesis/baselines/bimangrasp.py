@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from bidexdata.synthesis.opening import opened
 from bidexdata.synthesis.optimise import Optimised, found_at, read_pose, torque_lengths
 from bidexdata.synthesis.optimise_config import EnergyConfig, OptimiseConfig
 from bidexdata.synthesis.pose import Pose
-from bidexdata.synthesis.staging import squeeze
+from bidexdata.synthesis.staging import Press, squeeze
 from bidexdata.synthesis.workspace import Start, allocate
 
 if TYPE_CHECKING:
@@ -96,11 +96,9 @@ def seeds(attempts: Sequence[Attempts]) -> np.ndarray:
     return np.array(found, np.int32).reshape(-1)
 
 
-def aim(
-    found: Optimised, torques: Sequence[Any], hands: Sequence[Hand], config: BimanGraspConfig
-) -> Pose:
+def aim(found: Optimised, press: Press, hands: Sequence[Hand], config: BimanGraspConfig) -> Pose:
     """The squeeze: as far beyond the grasp as the pre-grasp is before it."""
-    return squeeze(found.pregrasp, found.grasp, torques, hands, config.staging)
+    return squeeze(found.pregrasp, found.grasp, press, hands, config.staging)
 
 
 def _recorded(

@@ -79,6 +79,7 @@ def draw_starts(
         status=np.full(count, Status.OK, np.int8),
         region_id=np.full((count, 2), -1),
         region_score=np.full(count, np.nan),
+        contact_set=("fingertips",) * count,
         pairs=no_pairs(),
         placed=None,
         start=Start(

@@ -18,7 +18,7 @@ from bidexdata.synthesis import chain
 from bidexdata.synthesis.attempts import Attempts, gather_starts
 from bidexdata.synthesis.optimise import Optimised, found_at, read_pose, torque_lengths
 from bidexdata.synthesis.optimise_config import OptimiseConfig
-from bidexdata.synthesis.staging import squeeze
+from bidexdata.synthesis.staging import Press, squeeze
 from bidexdata.synthesis.workspace import HandWork, Workspace, allocate
 from bidexdata.wrench.qp import allocate_contact_qp
 from bidexdata.wrench.qp_groups import axis_targets, qp_groups
@@ -66,11 +66,9 @@ def search(
     return found_at(ws, hands, pregrasp, OptimiseConfig(closure=config.closure, energy=energy))
 
 
-def aim(
-    found: Optimised, torques: Sequence[Any], hands: Sequence[Hand], config: BodexConfig
-) -> Pose:
+def aim(found: Optimised, press: Press, hands: Sequence[Hand], config: BodexConfig) -> Pose:
     """The squeeze: joints go on, the base stays at the grasp's."""
-    target = squeeze(found.pregrasp, found.grasp, torques, hands, config.staging)
+    target = squeeze(found.pregrasp, found.grasp, press, hands, config.staging)
     return target._replace(position=found.grasp.position, quat_wxyz=found.grasp.quat_wxyz)
 
 

@@ -153,7 +153,7 @@ def _qp() -> QPConfig:
 
 
 def _staging() -> StagingConfig:
-    return StagingConfig(extrapolate=1.0, force_floor=0.0, force_per_weight=0.0)
+    return StagingConfig(extrapolate=1.0, base_lead=0.0, force_floor=0.0, force_per_weight=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

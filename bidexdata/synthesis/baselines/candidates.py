@@ -46,7 +46,7 @@ def contact_candidates(hand: Hand, per_link: int) -> OnHand:
     shapes = body_shapes(hand.make_spec().compile())
     turned = forward_kinematics(hand, np.zeros(len(hand.joint_names)))[1]
     found = []
-    for c, finger in enumerate(hand.contact_finger):
+    for c, finger in enumerate(hand.contact_finger[: hand.fingertips]):
         pad = turned[hand.contact_body[c]] @ hand.contact_normal[c]
         links = [hand.body_names.index(name) for name in hand.fingers[finger]]
         for body in [b for b in links if shapes[b]][-LINKS:]:
@@ -77,6 +77,7 @@ def with_contacts(hand: Hand, points: OnHand) -> Hand:
         contact_radius=np.zeros(n),
         contact_normal=np.zeros((n, 3)),
         contact_finger=("",) * n,
+        contact_part=("pad",) * n,
     )
 
 
