@@ -13,6 +13,7 @@ from bidexdata.errors import BadConfig
 from bidexdata.frames import matrix_from_quat
 from bidexdata.hands.kinematics_kernels import HandArrays, hand_backward, hand_forward
 from bidexdata.hands.model import Hand
+from bidexdata.hands.pairs import body_balls, pair_groups
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +29,15 @@ class DeviceHand:
     free_upper: wp.array
     """[rad], (D,)."""
     self_pairs: wp.array
-    """(P, 2) int."""
+    """Sphere pairs that must stay apart, by pair of bodies, (P, 2) int."""
+    pair_groups: wp.array
+    """Two hubs, first pair and the one behind the last of each pair of bodies, (G,) vec4i."""
+    group_reach: wp.array
+    """Distance of the hubs beyond which no pair of the group meets [m], (G,)."""
+    ball_hub: wp.array
+    """Sphere in the middle of each body's ball, (b,) int."""
+    ball_radius: wp.array
+    """Radius of the ball that holds the body's spheres [m], (b,)."""
 
     @property
     def sphere_radius(self) -> wp.array:
@@ -103,13 +112,18 @@ def device_hand(hand: Hand, device: str = "cpu") -> DeviceHand:
     for name, (values, dtype) in fields.items():
         setattr(arrays, name, _array(values, dtype, device))
     lower, upper = free_limits(hand)
+    groups, balls = pair_groups(hand), body_balls(hand)
     return DeviceHand(
         hand=hand,
         device=device,
         arrays=arrays,
         free_lower=_array(lower, float, device),
         free_upper=_array(upper, float, device),
-        self_pairs=_array(hand.self_pairs.reshape(-1, 2), int, device),
+        self_pairs=_array(groups.pairs, int, device),
+        pair_groups=_array(np.hstack([groups.hubs, groups.ends]), wp.vec4i, device),
+        group_reach=_array(groups.reach, float, device),
+        ball_hub=_array(balls.hubs, int, device),
+        ball_radius=_array(balls.radius, float, device),
     )
 
 
@@ -185,8 +199,8 @@ def backward(dev: DeviceHand, state: HandState) -> None:
 
 
 def _array(values: Any, dtype: Any, device: str) -> wp.array:
-    kind = np.int32 if dtype is int else np.float32
+    kind = np.int32 if dtype in (int, wp.vec4i) else np.float32
     values = np.ascontiguousarray(values, kind)
-    if dtype in (wp.vec3, wp.mat33):
+    if dtype in (wp.vec3, wp.vec4i, wp.mat33):
         return wp.array(values, dtype=dtype, shape=(len(values),), device=device)
     return wp.array(values, dtype=dtype, device=device)

@@ -8,7 +8,7 @@ would be work for nothing.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,30 @@ _POSTURES = 2000
 """Random postures within the limits that are tried."""
 _NEAR = 0.0
 """Smallest gap over the postures below which a pair counts [m]."""
+_ROUNDING = 1e-6
+"""Room for float32 positions in bounds of distances [m]."""
+
+
+class PairGroups(NamedTuple):
+    """Sphere pairs of a hand by pair of bodies, and balls that tell when none of them can meet."""
+
+    pairs: IntArray
+    """All pairs, those of one group side by side, (P, 2)."""
+    hubs: IntArray
+    """Spheres whose centres are the middles of each group's two balls, (G, 2)."""
+    ends: IntArray
+    """First pair of each group, and the one behind its last, (G, 2)."""
+    reach: FloatArray
+    """Sum of each group's ball radii [m]: hubs farther apart leave all its pairs apart, (G,)."""
+
+
+class Balls(NamedTuple):
+    """Balls that hold all spheres of a hand, one for each body that has any."""
+
+    hubs: IntArray
+    """Spheres whose centres are the middles, (b,)."""
+    radius: FloatArray
+    """[m], (b,)."""
 
 
 def self_pairs(hand: Hand, model: mujoco.MjModel) -> IntArray:
@@ -38,6 +62,39 @@ def self_pairs(hand: Hand, model: mujoco.MjModel) -> IntArray:
         near = np.minimum(near, _gap(hand, block, a, b).min(axis=0))
     meets = near < _NEAR
     return np.stack([a[meets], b[meets]], axis=1).astype(np.int32)
+
+
+def pair_groups(hand: Hand) -> PairGroups:
+    """Group `hand.self_pairs` by the bodies of their spheres."""
+    pairs = hand.self_pairs.reshape(-1, 2)
+    bodies = hand.sphere_body[pairs]
+    ordered = np.where((bodies[:, :1] > bodies[:, 1:]), pairs[:, ::-1], pairs)
+    order = np.lexsort((*ordered.T[::-1], bodies.max(axis=1), bodies.min(axis=1)))
+    pairs = ordered[order]
+    bodies = hand.sphere_body[pairs]
+    first = np.flatnonzero(np.any(np.diff(bodies, axis=0, prepend=-1) != 0, axis=1))
+    ends = np.stack([first, np.append(first[1:], len(pairs))[: len(first)]], axis=1)
+    balls = [[_ball(hand, np.unique(side)) for side in pairs[a:b].T] for a, b in ends]
+    hubs = np.array([[hub for hub, _ in two] for two in balls], np.int32).reshape(-1, 2)
+    reach = np.array([sum(radius for _, radius in two) for two in balls])
+    return PairGroups(pairs, hubs, ends.astype(np.int32), reach + _ROUNDING)
+
+
+def body_balls(hand: Hand) -> Balls:
+    """Put one ball around the spheres of each body."""
+    owned = [np.flatnonzero(hand.sphere_body == b) for b in np.unique(hand.sphere_body)]
+    balls = [_ball(hand, spheres) for spheres in owned]
+    radius = np.array([radius for _, radius in balls]) + _ROUNDING
+    return Balls(np.array([hub for hub, _ in balls], np.int32), radius)
+
+
+def _ball(hand: Hand, spheres: np.ndarray) -> tuple[int, float]:
+    """Find the smallest ball around spheres of one body whose middle is one of its spheres'."""
+    body = np.flatnonzero(hand.sphere_body == hand.sphere_body[spheres[0]])
+    offset = hand.sphere_pos[body, None] - hand.sphere_pos[spheres]
+    radius = (np.linalg.norm(offset, axis=-1) + hand.sphere_radius[spheres]).max(axis=1)
+    best = int(np.argmin(radius))
+    return int(body[best]), float(radius[best])
 
 
 def _may_collide(hand: Hand, model: mujoco.MjModel) -> np.ndarray:

@@ -184,7 +184,8 @@ def collision_terms(
             (K,) each; their radii when omitted.
     """
     reach = reach or [hand.model.sphere_radius for hand in ws.hands]
-    return [call for h in range(len(ws.hands)) for call in _collisions_of(ws, h, energy, reach[h])]
+    calls = [call for h in range(len(ws.hands)) for call in _collisions_of(ws, h, energy, reach[h])]
+    return [*calls, _between_hands(ws, energy)]
 
 
 def backward(ws: Workspace) -> list[Call]:
@@ -201,26 +202,32 @@ def adam(ws: Workspace, rule: AdamConfig, phase: PhaseConfig) -> list[Callable[[
 
 
 def _collisions_of(ws: Workspace, h: int, energy: EnergyConfig, reach: Any) -> list[Call]:
-    k, hand, other = sphere_kernels, ws.hands[h], ws.hands[1 - h]
-    centres, push = hand.points.sphere, hand.points.sphere_grad
-    radius, other_radius = hand.model.sphere_radius, other.model.sphere_radius
-    depth, overlap = energy.penetration, energy.self_penetration
-    one, each = (ws.count,), centres.shape
+    k, hand = sphere_kernels, ws.hands[h]
+    model, centres, push = hand.model, hand.points.sphere, hand.points.sphere_grad
+    radius, depth = model.sphere_radius, energy.penetration
+    one = (ws.count,)
 
     arguments = [reach, ws.field, ws.size, depth, energy.object_margin, centres]
     arguments += [hand.measured, hand.sphere_energy, push]
-    calls = [recorded(ws, k.sphere_object, each, arguments)]
+    calls = [recorded(ws, k.sphere_object, one, arguments)]
     if ws.has_table:
         arguments = [radius, ws.plane, depth, energy.table_margin, centres]
-        calls.append(recorded(ws, k.sphere_plane, each, [*arguments, hand.sphere_energy, push]))
-    arguments = [radius, hand.model.self_pairs, overlap, energy.self_margin, centres]
-    calls.append(recorded(ws, k.sphere_self, one, [*arguments, hand.self_energy, push]))
-    arguments = [other_radius, other.points.sphere, other.low, other.high]
-    calls.append(recorded(ws, k.hand_box, one, arguments))
-    arguments = [radius, other_radius, overlap, energy.inter_margin]
-    arguments += [centres, other.points.sphere, other.low, other.high]
-    calls.append(recorded(ws, k.sphere_other, each, [*arguments, hand.other_energy, push]))
+        calls.append(recorded(ws, k.sphere_plane, one, [*arguments, hand.sphere_energy, push]))
+    arguments = [radius, model.self_pairs, model.pair_groups, model.group_reach]
+    arguments += [energy.self_penetration, energy.self_margin, centres, hand.self_energy, push]
+    calls.append(recorded(ws, k.sphere_self, one, arguments))
     return calls
+
+
+def _between_hands(ws: Workspace, energy: EnergyConfig) -> Call:
+    """Spheres of one hand against those of the other; adds to both sphere gradients."""
+    models = [hand.model for hand in ws.hands]
+    arguments = [model.sphere_radius for model in models]
+    arguments += [ball for model in models for ball in (model.ball_hub, model.ball_radius)]
+    arguments += [energy.self_penetration, energy.inter_margin]
+    arguments += [hand.points.sphere for hand in ws.hands]
+    arguments += [ws.between_energy, *(hand.points.sphere_grad for hand in ws.hands)]
+    return recorded(ws, sphere_kernels.hands_between, (ws.count,), arguments)
 
 
 def _adam_of(

@@ -31,14 +31,21 @@ def _nearest_in_grid(field: DistanceField, g: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def _cell(g: float, last: float):
+    """The node below continuous index g along one axis, and the share of the cell beyond it.
+
+    The index says itself that it is not negative, which spares a test in every access.
+    """
+    i = wp.max(wp.min(int(g), int(last) - 1), 0)
+    return i, g - float(i)
+
+
+@wp.func
 def _interpolate(field: DistanceField, g: wp.vec3) -> wp.vec4:
     """Trilinear value and its gradient per unit of length at continuous indices g."""
-    i = wp.min(int(g[0]), int(field.last[0]) - 1)
-    j = wp.min(int(g[1]), int(field.last[1]) - 1)
-    k = wp.min(int(g[2]), int(field.last[2]) - 1)
-    u = g[0] - float(i)
-    v = g[1] - float(j)
-    w = g[2] - float(k)
+    i, u = _cell(g[0], field.last[0])
+    j, v = _cell(g[1], field.last[1])
+    k, w = _cell(g[2], field.last[2])
     a000 = field.values[i, j, k]
     a001 = field.values[i, j, k + 1]
     a010 = field.values[i, j + 1, k]
@@ -82,15 +89,8 @@ def signed_distance(field: DistanceField, size: float, x: wp.vec3) -> wp.vec4:
 
 
 @wp.func
-def _value(field: DistanceField, y: wp.vec3) -> float:
-    """Trilinear value alone at y (unit diagonal), clamped to the grid."""
-    g = _nearest_in_grid(field, (y - field.origin) * field.per_cell)
-    i = wp.min(int(g[0]), int(field.last[0]) - 1)
-    j = wp.min(int(g[1]), int(field.last[1]) - 1)
-    k = wp.min(int(g[2]), int(field.last[2]) - 1)
-    u = g[0] - float(i)
-    v = g[1] - float(j)
-    w = g[2] - float(k)
+def _value(field: DistanceField, i: int, j: int, k: int, u: float, v: float, w: float) -> float:
+    """Trilinear value alone, shares (u, v, w) of a cell beyond node (i, j, k)."""
     b00 = wp.lerp(field.values[i, j, k], field.values[i + 1, j, k], u)
     b01 = wp.lerp(field.values[i, j, k + 1], field.values[i + 1, j, k + 1], u)
     b10 = wp.lerp(field.values[i, j + 1, k], field.values[i + 1, j + 1, k], u)
@@ -100,13 +100,28 @@ def _value(field: DistanceField, y: wp.vec3) -> float:
 
 @wp.func
 def surface_normal(field: DistanceField, size: float, x: wp.vec3, step: float) -> wp.vec3:
-    """Outward unit normal at x from central differences of half width `step` [m]."""
+    """Outward unit normal at x from central differences of half width `step` [m].
+
+    The six points share their coordinates across the step, so the cells are found once per axis.
+    """
     y = x / size
-    h = step / size
+    h = wp.vec3(1.0, 1.0, 1.0) * (step / size)
+    at = _nearest_in_grid(field, (y - field.origin) * field.per_cell)
+    ahead = _nearest_in_grid(field, (y + h - field.origin) * field.per_cell)
+    behind = _nearest_in_grid(field, (y - h - field.origin) * field.per_cell)
+    i, u = _cell(at[0], field.last[0])
+    j, v = _cell(at[1], field.last[1])
+    k, w = _cell(at[2], field.last[2])
+    i1, u1 = _cell(ahead[0], field.last[0])
+    j1, v1 = _cell(ahead[1], field.last[1])
+    k1, w1 = _cell(ahead[2], field.last[2])
+    i0, u0 = _cell(behind[0], field.last[0])
+    j0, v0 = _cell(behind[1], field.last[1])
+    k0, w0 = _cell(behind[2], field.last[2])
     n = wp.vec3(
-        _value(field, y + wp.vec3(h, 0.0, 0.0)) - _value(field, y - wp.vec3(h, 0.0, 0.0)),
-        _value(field, y + wp.vec3(0.0, h, 0.0)) - _value(field, y - wp.vec3(0.0, h, 0.0)),
-        _value(field, y + wp.vec3(0.0, 0.0, h)) - _value(field, y - wp.vec3(0.0, 0.0, h)),
+        _value(field, i1, j, k, u1, v, w) - _value(field, i0, j, k, u0, v, w),
+        _value(field, i, j1, k, u, v1, w) - _value(field, i, j0, k, u, v0, w),
+        _value(field, i, j, k1, u, v, w1) - _value(field, i, j, k0, u, v, w0),
     )
     return wp.normalize(n)
 

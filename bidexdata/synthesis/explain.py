@@ -163,7 +163,8 @@ def explain_attempt(
         attempts=one,
         found=found,
         order=selection_order(
-            *(found.status, found.depth, found.residual, found.shifted, config.selection)
+            *(found.status, found.depth, found.residual, found.shifted),
+            *(found.places, config.selection),
         ),
         hands=views,
         moments=tuple(_moment(n, p, obj, views, scene.size) for n, p in poses.items()),

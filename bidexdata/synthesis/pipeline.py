@@ -100,6 +100,8 @@ class Outcome(NamedTuple):
     """Coupled zero-load QP residual [-], (M,)."""
     shifted: np.ndarray
     """Residual of moved contacts [-], (M,)."""
+    places: np.ndarray
+    """Origins of the hand frames at the grasp, object frame [m], (M, 2, 3)."""
     selected: np.ndarray
     """One of the best, (M,)."""
     audit: np.ndarray
@@ -224,7 +226,10 @@ def _grasp_set(
         forces.forces,
         found.normals_in,
         np.concatenate(
-            [np.full(len(a.start.size), obj.mass(a.scene.size, staging.density)) for a in attempts]
+            [
+                np.full(len(a.start.size), staging.mass or obj.mass(a.scene.size, staging.density))
+                for a in attempts
+            ]
         ),
         staging.force_floor,
         staging.force_per_weight,
@@ -365,6 +370,8 @@ def outcome(
     depth[placed] = staged.overlaps.depth[rows]
     residual[placed] = staged.residual[rows]
     shifted[placed] = staged.shifted[rows]
-    selected = best(status, depth, residual, shifted, grasps, config)
+    places = np.full((len(status), 2, 3), np.nan)
+    places[placed] = staged.grasp.position[rows]
+    selected = best(status, depth, residual, shifted, places, grasps, config)
     drawn = audit(len(status), grasps, np.random.default_rng([one.seed, 2]))
-    return Outcome(status, depth, residual, shifted, selected, drawn)
+    return Outcome(status, depth, residual, shifted, places, selected, drawn)

@@ -91,6 +91,7 @@ _PAPER = (
     Change("selection.table_depth", 1.0, "no attempt is dropped before the simulation"),
     Change("selection.clear_depth", 1.0, "no attempt is preferred for its depth"),
     Change("selection.largest_residual", 1e6, "no attempt is dropped before the simulation"),
+    Change("selection.apart", 0.0, "no attempt is preferred for being unlike others"),
     Change("selection.contacts_needed", 0, "no attempt is dropped before the simulation"),
 )
 
@@ -171,6 +172,7 @@ PAPER_IDLE = (
     Kept("optimise.closure.turns", "of a shift that is zero"),
     Kept("optimise.energy.pad_cosine", "of the pad term, which is off"),
     Kept("staging.stiffness", "of the joint torques, which are off"),
+    Kept("staging.mass", "of the joint torques, which are off"),
     Kept("staging.largest_offset", "of the joint torques, which are off"),
     Kept("selection.residual_iterations", "of a residual that only stands in the record"),
     Kept("selection.contact_tolerance", "of a check that is off"),

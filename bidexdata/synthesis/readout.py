@@ -58,14 +58,13 @@ def read_energies(ws: Workspace, qp: ContactQP | None) -> Energies:
         real[h, :count] = True
     places = real.ravel()
     depth = [_per_grasp(s.sphere_energy) for s in ws.hands]
-    other = [_per_grasp(s.other_energy) for s in ws.hands]
-    own = [s.self_energy.numpy().astype(np.float64) for s in ws.hands]
+    overlaps = [s.self_energy for s in ws.hands] + [ws.between_energy]
     return Energies(
         distance=_per_grasp(c.distance_energy, places),
         region=_per_grasp(c.region_energy, places),
         pad=_per_grasp(c.pad_energy, places),
         penetration=depth[0] + depth[1],
-        self_penetration=own[0] + own[1] + other[0] + other[1],
+        self_penetration=np.sum([e.numpy() for e in overlaps], axis=0, dtype=np.float64),
         closure=np.full(ws.count, np.nan) if qp is None else _per_grasp(qp.residual),
     )
 

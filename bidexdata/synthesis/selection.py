@@ -35,6 +35,9 @@ class SelectionConfig:
     """Attempts with less pre-grasp penetration come first [m]. Measurements, 6."""
     largest_residual: float = 0.01
     """Attempts with a larger coupled QP residual are not selected [-]. Measurements, 6."""
+    apart: float = 0.03
+    """Of attempts whose two hands lie nearer to each other's than this the best comes first, the
+    others behind all that differ; 0 prefers none [m]. Ours."""
     shift: float = 0.012
     """How far contacts are moved for the shifted residual, by which attempts are ordered [m].
     Measurements, 14."""
@@ -62,6 +65,7 @@ class SelectionConfig:
         ):
             refuse_outside(self, name, 0.0, 1.0)
         refuse_outside(self, "largest_residual", 0.0, 1e6)
+        refuse_outside(self, "apart", 0.0, 10.0)
         refuse_outside(self, "shift", 0.0, 0.1)
         refuse_outside(self, "shifted_sets", 1, 1000)
         for name in ("residual_iterations", "shifted_iterations"):
@@ -132,18 +136,21 @@ def best(
     depth: Float[np.ndarray, " M"],
     residual: Float[np.ndarray, " M"],
     shifted: Float[np.ndarray, " M"],
+    places: Float[np.ndarray, "M 2 3"],
     count: int,
     config: SelectionConfig,
 ) -> Bool[np.ndarray, " M"]:
     """Mark the best `count` attempts: clear of the object first, then by balance of forces.
 
-    What counts is the balance that is left when every finger touches a little elsewhere.
+    What counts is the balance that is left when every finger touches a little elsewhere. Of attempts
+    that are alike one comes first, and the others behind all that differ.
 
     Args:
         status: Of all M attempts of a scene.
         depth: Pre-grasp penetration [m]; NaN where there is no grasp.
         residual: Coupled zero-load QP residual [-]; NaN where there is no grasp.
         shifted: The same, mean over sets of contacts that are moved along the surface [-].
+        places: Origins of the hand frames at the grasp, object frame [m]; NaN where there is none.
         count: N, grasps to keep.
         config: Limits.
 
@@ -151,7 +158,7 @@ def best(
         docs/measurements.md, 6 (89 -> 99.7 % for the best 8 of 32) and 14.
     """
     chosen = np.zeros(len(status), bool)
-    chosen[selection_order(status, depth, residual, shifted, config)[:count]] = True
+    chosen[selection_order(status, depth, residual, shifted, places, config)[:count]] = True
     return chosen
 
 
@@ -160,13 +167,26 @@ def selection_order(
     depth: Float[np.ndarray, " M"],
     residual: Float[np.ndarray, " M"],
     shifted: Float[np.ndarray, " M"],
+    places: Float[np.ndarray, "M 2 3"],
     config: SelectionConfig,
 ) -> Int[np.ndarray, " U"]:
     """Number the attempts that may be kept, best first; arguments are those of `best`."""
     able = (status == Status.OK) & (residual <= config.largest_residual)
     # The attempt's number breaks ties, so that the order is always the same.
     order = np.lexsort((np.arange(len(status)), shifted, depth > config.clear_depth))
-    return order[able[order]]
+    return _unlike_first(order[able[order]], places, config.apart)
+
+
+def _unlike_first(
+    order: Int[np.ndarray, " U"], places: Float[np.ndarray, "M 2 3"], apart: float
+) -> Int[np.ndarray, " U"]:
+    """Move what is alike something before it behind all the rest; both keep their order."""
+    first: list[int] = []
+    for k in order.tolist():
+        away = np.linalg.norm(places[first] - places[k], axis=-1).max(axis=-1)
+        if not np.any(away < apart):
+            first.append(k)
+    return np.concatenate([np.array(first, np.int64), order[~np.isin(order, first)]])
 
 
 def audit(attempts: int, count: int, rng: np.random.Generator) -> Bool[np.ndarray, " M"]:

@@ -51,6 +51,8 @@ class StagingConfig:
     `force_scale`. Measurements, 5: never reached."""
     density: float = 2.5
     """Density that the weight is computed with [kg/m3]. Paper 6.1."""
+    mass: float = 0.0
+    """Mass that the weight is computed with, in place of the density's; 0 leaves it to that [kg]."""
     opened: tuple[float, float] | None = field(default=None, metadata=OMIT_NONE)
     """In place of the optimised pre-grasp the grasp with its palms this far back [m] and its closing
     joints this far open [rad], as the paper tests grasps that have none (6.1: 0.01 and 0.1)."""
@@ -63,6 +65,7 @@ class StagingConfig:
         refuse_outside(self, "stiffness", 1e-3, 1e6)
         refuse_outside(self, "largest_offset", 0.0, 3.2)
         refuse_outside(self, "density", 0.0, 1e5)
+        refuse_outside(self, "mass", 0.0, 1e5)
         if self.opened is not None:
             palm, joints = self.opened
             if not (0.0 <= palm <= 0.1 and 0.0 <= joints <= 1.0):

@@ -48,8 +48,6 @@ class HandWork:
     """Squared depths in object and table [m2], (N, K)."""
     self_energy: Any
     """Squared overlaps within the hand [m2], (N,)."""
-    other_energy: Any
-    """This hand's half of the squared overlaps with the other [m2], (N, K)."""
     first_moment: Any
     """(N, 6 + D)."""
     second_moment: Any
@@ -105,6 +103,8 @@ class Workspace:
     """Table under each grasp in the object frame (normal, offset); zero where there is none, (N,)
     vec4."""
     has_table: bool
+    between_energy: Any
+    """Squared overlaps between the hands [m2], (N,)."""
     hands: tuple[HandWork, HandWork]
     contacts: ContactState
     contacts_per_hand: tuple[int, int]
@@ -205,6 +205,7 @@ def allocate(
         torque_length=copy(torque_length),
         plane=copy(start.plane, wp.vec4),
         has_table=bool(np.any(start.plane)),
+        between_energy=zeros(n),
         hands=(
             _hand_work(hands[0], 0, start, contacts, zeros, copy, device),
             _hand_work(hands[1], 1, start, contacts, zeros, copy, device),
@@ -256,7 +257,6 @@ def _hand_work(
         high=zeros(n, wp.vec3),
         sphere_energy=zeros((n, spheres)),
         self_energy=zeros(n),
-        other_energy=zeros((n, spheres)),
         first_moment=zeros((n, 6 + free)),
         second_moment=zeros((n, 2 + free)),
     )

@@ -73,6 +73,8 @@ class ContactQP:
     forces: wp.array
     """Forces on the object in the frame of the points [caps], start and result, (N, L, T, M)
     vec3."""
+    parts: wp.array
+    """Scratch: normal and tangential part of each force before its projection, (N, L, T, M) vec2."""
     residual: wp.array
     """Squared wrench residual, (N, K, T)."""
     residual_force: wp.array
@@ -106,6 +108,7 @@ def allocate_contact_qp(
     for h, (start, stop) in enumerate(zip(starts, stops, strict=True)):
         hand[start:stop] = h
     tasks = (count, groups.count, len(targets))
+    places = (count, groups.layers, len(targets), groups.width)
 
     def ints(values: Any) -> wp.array:
         return wp.array(np.asarray(values, np.int32), dtype=int, device=device)
@@ -119,9 +122,8 @@ def allocate_contact_qp(
         hand_stop=ints(stops),
         contact_hand=ints(hand),
         targets=wp.array(targets, dtype=wp.vec3, device=device),
-        forces=wp.zeros(
-            (count, groups.layers, len(targets), groups.width), dtype=wp.vec3, device=device
-        ),
+        forces=wp.zeros(places, dtype=wp.vec3, device=device),
+        parts=wp.zeros(places, dtype=wp.vec2, device=device),
         residual=wp.zeros(tasks, dtype=float, device=device),
         residual_force=wp.zeros(tasks, dtype=wp.vec3, device=device),
         residual_torque=wp.zeros(tasks, dtype=wp.vec3, device=device),
@@ -171,6 +173,7 @@ def solve_contact_qp(
             config.beta,
             iterations,
             qp.forces,
+            qp.parts,
         ],
         outputs=[qp.residual, qp.residual_force, qp.residual_torque],
         device=qp.forces.device,

@@ -16,12 +16,8 @@ TINY = wp.constant(1.0e-12)
 
 
 @wp.func
-def project_to_cone(y: wp.vec3, n: wp.vec3, shift: float, mu: float, cap: float) -> wp.vec3:
-    """Closest force to y + shift n with 0 <= f.n <= cap and |f_t| <= mu f.n."""
-    along = wp.dot(y, n)
-    tangent = y - along * n
-    slide = wp.length(tangent)
-    a = along + shift
+def project_to_cone(n: wp.vec3, tangent: wp.vec3, a: float, slide: float, mu: float, cap: float):
+    """Closest force to a n + tangent, |tangent| = slide, with 0 <= f.n <= cap and |f_t| <= mu f.n."""
     pressed = a
     if slide > mu * a:
         pressed = (a + mu * slide) / (1.0 + mu * mu)
@@ -47,34 +43,19 @@ def pressure_and_slope(a: float, slide: float, mu: float, cap: float) -> wp.vec2
 
 @wp.func
 def hand_pressure(
-    normals: wp.array2d[wp.vec3],
-    y: wp.array4d[wp.vec3],
-    p: int,
-    layer: int,
-    t: int,
-    start: int,
-    stop: int,
-    shift: float,
-    mu: float,
-    cap: float,
+    parts: wp.array[wp.vec2], start: int, stop: int, shift: float, mu: float, cap: float
 ) -> wp.vec2:
     """Sum over a hand of the normal parts of the projections of y + shift n, and its derivative."""
     total = wp.vec2(0.0, 0.0)
     for c in range(start, stop):
-        n = normals[p, c]
-        v = y[p, layer, t, c]
-        along = wp.dot(v, n)
-        total += pressure_and_slope(along + shift, wp.length(v - along * n), mu, cap)
+        part = parts[c]
+        total += pressure_and_slope(part[0] + shift, part[1], mu, cap)
     return total
 
 
 @wp.func
 def pressure_shift(
-    normals: wp.array2d[wp.vec3],
-    y: wp.array4d[wp.vec3],
-    p: int,
-    layer: int,
-    t: int,
+    parts: wp.array[wp.vec2],
     start: int,
     stop: int,
     guess: float,
@@ -111,7 +92,7 @@ def pressure_shift(
             shift = 0.0
         if high >= 0.0 and (shift <= low or shift >= high):
             shift = 0.5 * (wp.max(low, 0.0) + high)
-        pressure = hand_pressure(normals, y, p, layer, t, start, stop, shift, mu, cap)
+        pressure = hand_pressure(parts, start, stop, shift, mu, cap)
     return shift
 
 
@@ -135,6 +116,8 @@ def contact_qp_kernel(
     iterations: int,
     # In and out: start and result
     forces: wp.array4d[wp.vec3],
+    # Scratch: normal part and size of the tangential part of each y
+    parts_out: wp.array4d[wp.vec2],
     # Out:
     residual_out: wp.array3d[float],
     residual_force_out: wp.array3d[wp.vec3],
@@ -148,6 +131,10 @@ def contact_qp_kernel(
     inv_length = 1.0 / length_in[p]
     target_f = beta * targets[t, 0]
     target_t = beta * targets[t, 1]
+    points = points_in[p]
+    normals = normals_in[p]
+    force = forces[p, layer, t]
+    parts = parts_out[p, layer, t]
 
     # Residual of the start, and the step: 1.6 over a bound of the largest eigenvalue of G G^T.
     r_f = -target_f
@@ -155,8 +142,8 @@ def contact_qp_kernel(
     bound = float(0.0)
     for h in range(h0, h1):
         for c in range(hand_start[h], hand_stop[h]):
-            q = points_in[p, c] * inv_length
-            f = forces[p, layer, t, c]
+            q = points[c] * inv_length
+            f = force[c]
             r_f += f
             r_t += wp.cross(q, f)
             bound += 1.0 + wp.dot(q, q)
@@ -174,33 +161,23 @@ def contact_qp_kernel(
             shift = shifts[h - h0]
             pressure = wp.vec2(0.0, 0.0)
             for c in range(start, stop):
-                q = points_in[p, c] * inv_length
-                n = normals_in[p, c]
-                y = forces[p, layer, t, c] - step * (r_f + wp.cross(r_t, q))
-                forces[p, layer, t, c] = y
+                n = normals[c]
+                y = force[c] - step * (r_f + wp.cross(r_t, points[c] * inv_length))
                 along = wp.dot(y, n)
-                pressure += pressure_and_slope(along + shift, wp.length(y - along * n), mu, cap)
+                tangent = y - along * n
+                slide = wp.length(tangent)
+                force[c] = tangent
+                parts[c] = wp.vec2(along, slide)
+                pressure += pressure_and_slope(along + shift, slide, mu, cap)
             if shift > 0.0 or pressure[0] < gamma:
-                shift = pressure_shift(
-                    normals_in,
-                    forces,
-                    p,
-                    layer,
-                    t,
-                    start,
-                    stop,
-                    shift,
-                    pressure,
-                    mu,
-                    cap,
-                    gamma,
-                )
+                shift = pressure_shift(parts, start, stop, shift, pressure, mu, cap, gamma)
                 shifts[h - h0] = shift
             for c in range(start, stop):
-                f = project_to_cone(forces[p, layer, t, c], normals_in[p, c], shift, mu, cap)
-                forces[p, layer, t, c] = f
+                part = parts[c]
+                f = project_to_cone(normals[c], force[c], part[0] + shift, part[1], mu, cap)
+                force[c] = f
                 next_f += f
-                next_t += wp.cross(points_in[p, c] * inv_length, f)
+                next_t += wp.cross(points[c] * inv_length, f)
         r_f = next_f
         r_t = next_t
 

@@ -11,6 +11,7 @@ from bidexdata.hands import load_hand
 from bidexdata.hands.geometry import body_shapes, depth, surface_samples, tessellate
 from bidexdata.hands.kinematics import forward_kinematics, hand_points
 from bidexdata.hands.meshes import visual_meshes
+from bidexdata.hands.pairs import body_balls, pair_groups
 
 MM = 1e-3
 
@@ -81,6 +82,36 @@ def test_self_pairs_are_free_at_rest_and_may_collide(hand, rng):
         assert hand.body_parent[i] != j
         assert hand.body_parent[j] != i
         assert not {(i + 1, j + 1), (j + 1, i + 1)} & excluded
+
+
+def test_groups_hold_every_self_pair_once_and_their_balls_hold_its_spheres(hand, edge_joints):
+    groups = pair_groups(hand)
+    listed = {tuple(sorted(pair)) for pair in groups.pairs.tolist()}
+    assert listed == {tuple(sorted(pair)) for pair in hand.self_pairs.tolist()}
+    assert len(groups.pairs) == len(hand.self_pairs)
+    first, stop = groups.ends.T
+    np.testing.assert_array_equal(first, [0, *stop[:-1]])
+    assert stop[-1] == len(groups.pairs)
+    bodies = [hand.sphere_body[groups.pairs[i:j]] for i, j in groups.ends]
+    assert all(np.all(of_group == of_group[0]) for of_group in bodies)
+    assert len({tuple(of_group[0]) for of_group in bodies}) == len(groups.ends)
+    centre = hand_points(hand, edge_joints(hand, 50)).sphere
+    for (i, j), hubs, reach in zip(groups.ends, groups.hubs, groups.reach, strict=True):
+        a, b = groups.pairs[i:j].T
+        gap = np.linalg.norm(centre[:, a] - centre[:, b], axis=-1)
+        gap -= hand.sphere_radius[a] + hand.sphere_radius[b]
+        apart = np.linalg.norm(centre[:, hubs[0]] - centre[:, hubs[1]], axis=-1) - reach
+        assert np.all(gap >= apart[:, None])
+
+
+def test_a_body_s_ball_holds_its_spheres(hand):
+    balls = body_balls(hand)
+    held = hand.sphere_body[balls.hubs]
+    assert sorted(held) == sorted(set(hand.sphere_body))
+    hub = balls.hubs[np.searchsorted(held, hand.sphere_body)]
+    offset = np.linalg.norm(hand.sphere_pos - hand.sphere_pos[hub], axis=1)
+    radius = balls.radius[np.searchsorted(held, hand.sphere_body)]
+    assert np.all(offset + hand.sphere_radius <= radius)
 
 
 def test_rest_and_start_postures_are_free_of_self_collision(hand):

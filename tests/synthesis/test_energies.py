@@ -1,8 +1,13 @@
 """Laws of the energy terms: gradient = central difference, kernels = reference."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from bidexdata.hands import load_hands
+from bidexdata.hands.device import device_hand
+from bidexdata.hands.kinematics import hand_points
 from bidexdata.objects.prepared import SignedDistanceGrid
 from bidexdata.synthesis import energies
 from bidexdata.synthesis.distance_field import device_field, signed_distance, surface_normal
@@ -359,7 +364,7 @@ def test_sphere_kernels_equal_the_reference():
     e, out = poison((N, K)), poison((N, K), wp.vec3)
     measured = wp.zeros((N, K), dtype=wp.vec4)
     args = [floats(radius), field_of(grid), floats(size), 3.0, 0.001, vectors(x)]
-    launch(k.sphere_object, (N, K), args, [measured, e, out])
+    launch(k.sphere_object, N, args, [measured, e, out])
     terms = [
         energies.sphere_object_energy(*signed_distance(grid, s, row), radius, 0.001)
         for s, row in zip(size, x, strict=True)
@@ -370,57 +375,88 @@ def test_sphere_kernels_equal_the_reference():
     before, energy = out.numpy().copy(), e.numpy().copy()
     plane = np.array([[0, 0, 1, 0.05], [0, 0.6, 0.8, 0.01], [0, 0, 0, 0]])
     args = [floats(radius), wp.array(plane.astype(np.float32), dtype=wp.vec4), 3.0, 0.002]
-    launch(k.sphere_plane, (N, K), [*args, vectors(x)], [e, out])
+    launch(k.sphere_plane, N, [*args, vectors(x)], [e, out])
     term = energies.sphere_plane_energy(x[:2], plane[:2], radius, 0.002)
     np.testing.assert_allclose(out.numpy()[:2] - before[:2], 3 * term.gradient, atol=1e-4)
     assert np.array_equal(out.numpy()[2], before[2])
     np.testing.assert_allclose((e.numpy() - energy)[:2].sum(1), term.energy, rtol=1e-3)
 
 
-def test_pair_kernels_equal_the_reference():
+def every_pair(hand):
+    """The hand with every pair of its spheres listed, those of one body and of neighbours too."""
+    count = len(hand.sphere_body)
+    pairs = np.array([(a, b) for a in range(count) for b in range(a)], np.int32)
+    return replace(hand, self_pairs=pairs)
+
+
+@pytest.fixture(params=["capsule", "shadow", "no pairs"])
+def hand(request):
+    if request.param == "shadow":
+        request.getfixturevalue("menagerie")
+    if request.param == "no pairs":
+        return replace(load_hands("capsule")[0], self_pairs=np.zeros((0, 2), np.int32))
+    return load_hands(request.param)[0]
+
+
+def postures(hand, count):
+    """Sphere centres of postures of which half are far outside the limits, so that much overlaps."""
+    low, high = hand.joint_lower, hand.joint_upper
+    joints = rng.uniform(low, high, (count, len(low)))
+    joints[::2] += rng.normal(0, 1.0, joints[::2].shape)
+    return hand_points(hand, joints).sphere
+
+
+def test_self_overlaps_of_a_hand_equal_the_reference(hand):
+    """For each hand, its pairs, and every pair of its spheres, in postures that overlap too."""
     from bidexdata.synthesis import sphere_kernels as k
 
-    N, K = 3, 12
-    x = rng.uniform(-0.1, 0.1, (N, 2 * K, 3))
-    radius = rng.uniform(0.02, 0.04, 2 * K)
-    pairs = np.array([(a, b) for a in range(K) for b in range(a)], np.int32)
-    left, right = vectors(x[:, :K]), vectors(x[:, K:])
-    e, out = poison(N), vectors(np.zeros((N, K, 3)))
-    args = [floats(radius[:K]), wp.array(pairs, dtype=int), 3.0, 0.002, left]
-    launch(k.sphere_self, N, args, [e, out])
-    term = energies.pair_energy(x[:, :K], pairs, radius[:K], 0.002)
-    assert_close(out, 3 * term.gradient)
-    assert_close(e, term.energy)
+    N = 9
+    for listed in (hand, every_pair(hand)):
+        x, dev = postures(hand, N), device_hand(listed, str(wp.get_device()))
+        start = rng.standard_normal(x.shape)
+        e, out = poison(N), vectors(start)
+        args = [dev.sphere_radius, dev.self_pairs, dev.pair_groups, dev.group_reach, 3.0, 0.002]
+        launch(k.sphere_self, N, [*args, vectors(x)], [e, out])
+        term = energies.pair_energy(x, listed.self_pairs, hand.sphere_radius, 0.002)
+        assert np.any(term.energy > 0) or not len(listed.self_pairs)
+        assert_close(out, start + 3 * term.gradient)
+        assert_close(e, term.energy)
 
+
+@pytest.mark.parametrize("apart", [0.0, 0.1, 5.0])
+def test_overlaps_between_hands_equal_the_reference(hand, apart):
+    from bidexdata.synthesis import sphere_kernels as k
+
+    N, K, device = 11, len(hand.sphere_body), str(wp.get_device())
+    dev = device_hand(hand, device)
+    left, right = postures(hand, N), postures(hand, N) + rng.uniform(0, apart, (N, 1, 3))
+    if apart > 1:
+        right = right + 1.0
+    x, radius = np.concatenate([left, right], axis=1), np.tile(hand.sphere_radius, 2)
     between = np.array([(a, K + b) for a in range(K) for b in range(K)])
     term = energies.pair_energy(x, between, radius, 0.005)
-    total = 0.0
-    for own, other, part in ((left, right, slice(K)), (right, left, slice(K, None))):
-        r_own, r_other = radius[part], radius[slice(K, None) if part.start is None else slice(K)]
-        low, high, e = poison(N, wp.vec3), poison(N, wp.vec3), poison((N, K))
-        launch(k.hand_box, N, [floats(r_other), other], [low, high])
-        out = vectors(np.zeros((N, K, 3)))
-        args = [floats(r_own), floats(r_other), 3.0, 0.005, own, other, low, high]
-        launch(k.sphere_other, (N, K), args, [e, out])
-        assert_close(out, 3 * term.gradient[:, part])
-        total = total + e.numpy().sum(1)
-    np.testing.assert_allclose(total, term.energy, rtol=1e-4)
+    assert np.all(term.energy == 0) if apart > 1 else np.any(term.energy > 0)
+    start = rng.standard_normal(x.shape)
+    e, pushed = poison(N), [vectors(start[:, :K]), vectors(start[:, K:])]
+    balls = [dev.ball_hub, dev.ball_radius]
+    args = [dev.sphere_radius, dev.sphere_radius, *balls, *balls, 3.0, 0.005]
+    launch(k.hands_between, N, [*args, vectors(left), vectors(right)], [e, *pushed])
+    expected = start + 3 * term.gradient
+    assert_close(pushed[0], expected[:, :K])
+    assert_close(pushed[1], expected[:, K:])
+    assert_close(e, term.energy)
+    if apart > 1:
+        assert not e.numpy().any()
 
 
-def test_hands_far_apart_do_not_touch():
+def test_the_box_around_a_hand_holds_its_spheres_and_no_more():
     from bidexdata.synthesis import sphere_kernels as k
 
     x = rng.uniform(-0.1, 0.1, (2, 6, 3))
-    r = floats(np.full(6, 0.01))
-    low, high, e = poison(2, wp.vec3), poison(2, wp.vec3), poison((2, 6))
-    launch(k.hand_box, 2, [r, vectors(x + 1.0)], [low, high])
-    np.testing.assert_allclose(low.numpy(), (x + 1).min(1) - 0.01, atol=1e-6)
-    np.testing.assert_allclose(high.numpy(), (x + 1).max(1) + 0.01, atol=1e-6)
-    out = vectors(np.zeros((2, 6, 3)))
-    args = [r, r, 3.0, 0.005, vectors(x), vectors(x + 1.0), low, high]
-    launch(k.sphere_other, (2, 6), args, [e, out])
-    assert not np.any(e.numpy())
-    assert not np.any(out.numpy())
+    low, high = poison(2, wp.vec3), poison(2, wp.vec3)
+    launch(k.hand_box, 2, [floats(np.full(6, 0.01)), vectors(x)], [low, high])
+    np.testing.assert_allclose(low.numpy(), x.min(1) - 0.01, atol=1e-6)
+    np.testing.assert_allclose(high.numpy(), x.max(1) + 0.01, atol=1e-6)
 
 
 def test_remembering_clearances_changes_no_energy():
@@ -439,7 +475,7 @@ def test_remembering_clearances_changes_no_energy():
         for measured in (memory, wp.zeros((N, K), dtype=wp.vec4)):
             e, out = poison((N, K)), poison((N, K), wp.vec3)
             args = [radius, field_of(grid), size, 3.0, 0.001, vectors(x)]
-            launch(k.sphere_object, (N, K), args, [measured, e, out])
+            launch(k.sphere_object, N, args, [measured, e, out])
             results.append((e.numpy().copy(), out.numpy().copy()))
         assert np.array_equal(results[0][0], results[1][0])
         assert np.array_equal(results[0][1], results[1][1])

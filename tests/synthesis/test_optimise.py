@@ -111,8 +111,8 @@ def total_energy(ws, energy, closure_weight=0.0, residual=None):
     total += energy.pad * c.pad_energy.numpy().sum(1, dtype=float)
     for hand in ws.hands:
         total += energy.penetration * hand.sphere_energy.numpy().sum(1, dtype=float)
-        overlap = hand.self_energy.numpy() + hand.other_energy.numpy().sum(1, dtype=float)
-        total += energy.self_penetration * overlap
+        total += energy.self_penetration * hand.self_energy.numpy().astype(float)
+    total += energy.self_penetration * ws.between_energy.numpy().astype(float)
     if residual is not None:
         total += closure_weight * residual.numpy().sum((1, 2), dtype=float)
     return total

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from bidexdata.record import Status
-from bidexdata.synthesis.selection import SelectionConfig, audit, best, judge
+from bidexdata.synthesis.selection import SelectionConfig, audit, best, judge, selection_order
 from bidexdata.validation.protocols import load_protocol
 
-CONFIG = SelectionConfig(largest_residual=0.5, clear_depth=0.001, start_depth=0.01)
+CONFIG = SelectionConfig(largest_residual=0.5, clear_depth=0.001, start_depth=0.01, apart=0.0)
+NOWHERE = np.zeros((1000, 2, 3))
 
 
 def sample(seed=0, count=200):
@@ -24,7 +25,7 @@ def sample(seed=0, count=200):
 @pytest.mark.parametrize("count", [0, 1, 7, 1000])
 def test_no_attempt_left_out_is_better_than_one_kept(count):
     status, depth, residual, shifted = sample()
-    kept = best(status, depth, residual, shifted, count, CONFIG)
+    kept = best(status, depth, residual, shifted, NOWHERE[:200], count, CONFIG)
     able = (status == Status.OK) & (residual <= CONFIG.largest_residual)
     assert not np.any(kept & ~able)
     assert kept.sum() == min(count, able.sum())
@@ -34,8 +35,33 @@ def test_no_attempt_left_out_is_better_than_one_kept(count):
 
 
 def test_equal_attempts_are_kept_in_their_order():
-    kept = best(np.zeros(6, np.int8), *np.zeros((3, 6)), 2, CONFIG)
+    kept = best(np.zeros(6, np.int8), *np.zeros((3, 6)), NOWHERE[:6], 2, CONFIG)
     assert kept.tolist() == [True, True, False, False, False, False]
+
+
+def test_of_attempts_that_are_alike_the_best_comes_first_and_the_others_last():
+    """By hand: 0 and 2 have both hands in one place, 1 shares one hand with them, 3 is far away."""
+    places = np.zeros((4, 2, 3))
+    places[1, 1, 0], places[3, :, 0], places[2, :, 0] = 0.2, 0.5, 0.01
+    shifted = np.array([0.2, 0.3, 0.1, 0.4])
+    rest = (np.zeros(4, np.int8), np.zeros(4), np.zeros(4), shifted, places)
+    alike = SelectionConfig(apart=0.02)
+    assert selection_order(*rest, alike).tolist() == [2, 1, 3, 0]
+    assert selection_order(*rest, SelectionConfig(apart=0.0)).tolist() == [2, 0, 1, 3]
+    assert best(*rest, 3, alike).tolist() == [False, True, True, True]
+
+
+def test_the_order_of_unlike_attempts_is_a_shuffle_of_all():
+    rng = np.random.default_rng(2)
+    places = rng.uniform(-0.05, 0.05, (60, 2, 3))
+    rest = (np.zeros(60, np.int8), np.zeros(60), np.zeros(60), rng.uniform(0, 1, 60), places)
+    order = selection_order(*rest, SelectionConfig(apart=0.04))
+    assert sorted(order.tolist()) == list(range(60))
+    gaps = np.linalg.norm(places[order][:, None] - places[order][None], axis=-1).max(axis=-1)
+    # A first part has no two alike, each of the rest is alike one before it in the first part.
+    first = next(k for k in range(1, 61) if k == 60 or np.any(gaps[k, :k] < 0.04))
+    assert np.all((gaps[:first, :first] >= 0.04) | np.eye(first, dtype=bool))
+    assert np.all(np.any(gaps[first:, :first] < 0.04, axis=1))
 
 
 def test_the_audit_does_not_look_at_attempts():
@@ -87,7 +113,7 @@ def test_no_accepted_grasp_is_deeper_than_the_limit():
     none = np.zeros(300)
     gaps = np.zeros((300, 2, 5))
     status = judge(np.ones(300, bool), gaps, depth, CONFIG, among_hands=none, table=none)
-    kept = best(status, depth, *rng.uniform(0, 0.1, (2, 300)), 300, CONFIG)
+    kept = best(status, depth, *rng.uniform(0, 0.1, (2, 300)), NOWHERE[:300], 300, CONFIG)
     assert kept.any()
     assert depth[kept].max() <= CONFIG.start_depth
 

@@ -112,7 +112,8 @@ def test_contact_points_lie_on_the_surface_near_the_pads(batch, obj, hands):
                 batch["hand_quat_wxyz"][row, h, 1].astype(float),
             ).contact[number]
             away = np.linalg.norm(pads - points, axis=1) - hand.contact_radius[number]
-            assert np.median(np.abs(away)) < 5e-3
+            # A palm on a round body keeps some of its ten pads off it.
+            assert np.median(np.abs(away)) < (5e-3 if len(number) == 5 else 10e-3)
 
 
 def test_contact_forces_obey_their_cones_and_press(batch):

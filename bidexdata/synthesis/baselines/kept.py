@@ -17,5 +17,6 @@ def keep_everything() -> SelectionConfig:
         table_depth=1.0,
         clear_depth=1.0,
         largest_residual=1e6,
+        apart=0.0,
         contacts_needed=0,
     )
