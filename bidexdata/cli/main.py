@@ -17,6 +17,7 @@ os.environ.setdefault("TYPER_USE_RICH", "0")
 
 import typer
 
+from bidexdata.cli.bench import bench
 from bidexdata.cli.demo import demo
 from bidexdata.cli.hands import hands
 from bidexdata.cli.import_ import import_
@@ -52,6 +53,7 @@ COMMANDS = {
     "hands": hands,
     "protocols": protocols,
     "presets": presets,
+    "bench": bench,
     "demo": demo,
 }
 

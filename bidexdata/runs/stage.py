@@ -10,7 +10,7 @@ from pathlib import Path
 
 from bidexdata.runs.executors import TaskFailure, check_executor, run_tasks
 from bidexdata.runs.logs import log_to
-from bidexdata.runs.plan import Task
+from bidexdata.runs.plan import Task, take_shard
 from bidexdata.runs.progress import Progress
 
 
@@ -23,10 +23,17 @@ class TaskExecution:
     """0: one per core."""
     shard: tuple[int, int] | None = None
     """Part i of n of the plan, i from 0."""
+    objects: frozenset[str] | None = None
+    """Only tasks of these objects; None: of all."""
     quiet: bool = False
 
     def __post_init__(self) -> None:
         check_executor(self.executor, self.workers)  # before anything is written
+
+    def part_of(self, tasks: Sequence[Task]) -> list[Task]:
+        """The tasks of a plan that this command is to do."""
+        wanted = [t for t in tasks if self.objects is None or t.object_id in self.objects]
+        return take_shard(wanted, self.shard)
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +49,10 @@ class TaskSummary:
     """Scenes of the task that it kept no grasp of."""
     by_size: dict[int, dict[str, int]] = field(default_factory=dict)
     """What `by_status` counts, for each `size_mm`; empty where the stage does not say."""
+    cpu_seconds: float = 0.0
+    """That the worker's process computed for the task; 0 where the stage does not say."""
+    process: int = 0
+    """Id of that process, likewise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +86,7 @@ def run_stage(
     unit: str,
     logs: Path,
     execution: TaskExecution,
+    on_task: Callable[[Task, TaskSummary], None] | None = None,
 ) -> StageReport:
     """Run the tasks that are not done yet.
 
@@ -87,6 +99,7 @@ def run_stage(
         unit: What the progress counts.
         logs: Folder of the log files.
         execution: Where and how.
+        on_task: Hears, in this process, of every task that a worker has done.
     """
     open_tasks = [t for t in tasks if t.task_id not in done]
     start = time.monotonic()
@@ -114,6 +127,8 @@ def run_stage(
                 for size, counts in result.by_size.items():
                     by_size[size].update(counts)
                 without += result.without_grasp
+                if on_task is not None:
+                    on_task(task, result)
             progress.advance()
     return StageReport(
         tasks=len(tasks),

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import os
 import time
 from collections import Counter, defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -26,7 +28,6 @@ from bidexdata.runs.plan import (
     read_plan,
     scene_ids_of,
     scene_of,
-    take_shard,
     write_plan,
 )
 from bidexdata.runs.run import PLAN_FILE, Run, open_unchanged, refuse_foreign
@@ -108,8 +109,17 @@ def synth_library(
     *,
     execution: TaskExecution | None = None,
     device: str = "cpu",
+    on_task: Callable[[Task, TaskSummary], None] | None = None,
 ) -> StageReport:
     """Synthesise grasps for every object of a library, or go on where a run stopped.
+
+    Args:
+        library: Its folder.
+        out: Folder of the run.
+        request: What to make.
+        execution: Where and how.
+        device: Warp device of the workers.
+        on_task: Hears of every task that this call has done.
 
     Raises:
         PathNotFound: There is no library.
@@ -123,7 +133,7 @@ def synth_library(
     if execution.executor != "ray":  # whose workers have devices of their own
         check_device(device)
     run = start_run(Library.open(library), Path(out), request)
-    tasks = take_shard(run.tasks, execution.shard)
+    tasks = execution.part_of(run.tasks)
     sweep([run.stage_folder("rows")])
     return run_stage(
         tasks,
@@ -132,6 +142,7 @@ def synth_library(
         unit="task",
         logs=run.path / "logs",
         execution=execution,
+        on_task=on_task,
     )
 
 
@@ -222,7 +233,7 @@ def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) ->
 
     run = open_unchanged(run_path, run_fingerprint)
     log_to(run.path / "logs")
-    start = time.monotonic()
+    start, cpu = time.monotonic(), time.process_time()
     obj = run.library.load(task.object_id)
     left, right = run.hands()
     one = run.spec.rounds[task.round]
@@ -254,7 +265,8 @@ def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) ->
     kept = set(batch["scene_id"][batch["selected"]].tolist())
     without = tuple(s for s in task.scene_ids if s not in kept)
     sized = {size: dict(found) for size, found in by_size.items()}
-    return TaskSummary(len(batch), good, dict(counts), without, sized)
+    cpu = time.process_time() - cpu
+    return TaskSummary(len(batch), good, dict(counts), without, sized, cpu, os.getpid())
 
 
 def round_seed(seed: int, number: int) -> int:

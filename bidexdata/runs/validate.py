@@ -19,7 +19,7 @@ from bidexdata.errors import ConfigConflict, NotUsable
 from bidexdata.record import Status
 from bidexdata.record.fields import ON_TABLE
 from bidexdata.runs.logs import log_to
-from bidexdata.runs.plan import Task, take_shard
+from bidexdata.runs.plan import Task
 from bidexdata.runs.run import (
     PROTOCOL_FILE,
     Run,
@@ -97,7 +97,7 @@ def validate_run(
         raise NotUsable(f"{run.path} has no finished task yet; run `bidexdata synth` first")
     run.check_source()
     _store_protocol(run, protocol)
-    tasks = [t for t in take_shard(run.tasks, execution.shard) if t.task_id in have]
+    tasks = [t for t in execution.part_of(run.tasks) if t.task_id in have]
     return {
         test: _run_test(run, protocol, test, tasks, execution, tuple(extras), device)
         for test in names

@@ -152,8 +152,12 @@ def explain_attempt(
     trace = None if recorder is None else recorder.trace()
     poses = _placement(one, views, number)
     if row is not None and trace is not None:
-        target = staged.squeeze.rows(slice(row, row + 1))
-        poses = {**trace.poses, "squeeze": target}
+        mine = slice(row, row + 1)
+        ends = {
+            "pregrasp": staged.pregrasp.rows(mine),
+            "squeeze": staged.squeeze.rows(mine),
+        }
+        poses = {**trace.poses, **ends}
     return Explanation(
         number=number,
         attempts=one,

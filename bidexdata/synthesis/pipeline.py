@@ -7,6 +7,7 @@ Poses are in the object frame until the record is written, which is in the world
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
@@ -27,6 +28,7 @@ from bidexdata.synthesis.forces import (
     weight_share,
 )
 from bidexdata.synthesis.methods import MethodConfig, Search, method_of
+from bidexdata.synthesis.opening import opened
 from bidexdata.synthesis.optimise import Optimised
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.readout import Energies
@@ -209,6 +211,9 @@ def _grasp_set(
     views = (contact_view(hands[0], name), contact_view(hands[1], name))
     method = method_of(config)
     found = search(obj, views, attempts, config, device=device)
+    if config.staging.opened is not None:
+        palm, joints = config.staging.opened
+        found = replace(found, pregrasp=opened(found.grasp, views, palm=palm, joints=joints))
     forces = contact_forces(found.workspace, config.closure, config.selection.residual_iterations)
     select, staging = config.selection, config.staging
     masses = [staging.mass or obj.mass(a.scene.size, staging.density) for a in attempts]

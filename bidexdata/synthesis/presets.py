@@ -111,6 +111,7 @@ PAPER_GIVEN = (
     Kept("placement.right_direction", "appendix B: (1, 1, -1)"),
     Kept("optimise.closure.qp.cap", "appendix A: normal forces up to 1"),
     Kept("staging.density", "6.1: 2.5 kg/m^3"),
+    Kept("staging.opened", "4.4: the pre-grasp is synthesised, not made of the grasp"),
 )
 
 PAPER_OPEN = (

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from bidexdata.config import OMIT_NONE
+from bidexdata.errors import BadConfig
 from bidexdata.frames import (
     quat_conjugate,
     quat_from_rotation_vector,
@@ -51,6 +53,9 @@ class StagingConfig:
     """Density that the weight is computed with [kg/m3]. Paper 6.1."""
     mass: float = 0.0
     """Mass that the weight is computed with, in place of the density's; 0 leaves it to that [kg]."""
+    opened: tuple[float, float] | None = field(default=None, metadata=OMIT_NONE)
+    """In place of the optimised pre-grasp the grasp with its palms this far back [m] and its closing
+    joints this far open [rad], as the paper tests grasps that have none (6.1: 0.01 and 0.1)."""
 
     def __post_init__(self) -> None:
         refuse_outside(self, "extrapolate", 0.0, 10.0)
@@ -61,6 +66,13 @@ class StagingConfig:
         refuse_outside(self, "largest_offset", 0.0, 3.2)
         refuse_outside(self, "density", 0.0, 1e5)
         refuse_outside(self, "mass", 0.0, 1e5)
+        if self.opened is not None:
+            palm, joints = self.opened
+            if not (0.0 <= palm <= 0.1 and 0.0 <= joints <= 1.0):
+                raise BadConfig(
+                    "StagingConfig.opened must be a way from 0 to 0.1 m and an angle from 0 to 1 rad, "
+                    f"not {list(self.opened)!r}"
+                )
 
 
 class Press(NamedTuple):

@@ -203,6 +203,17 @@ def test_lists_name_what_there_is_and_json_has_the_documented_keys(
     assert capsys.readouterr().out == ""
 
 
+def test_bench_lists_what_can_be_measured_and_each_has_help(capsys: pytest.CaptureFixture):
+    assert run(["bench", "--json"]) == 0
+    names = [b["name"] for b in json.loads(capsys.readouterr().out)["benches"]]
+    assert names == ["tables"]
+    for name in names:
+        assert run(["bench", name, "--help"]) == 0
+        text = capsys.readouterr().out
+        for option in ("--workers", "--executor", "--seed", "--json", "--quiet", "--debug"):
+            assert option in text
+
+
 def test_a_dry_run_lists_the_inputs_and_writes_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ):

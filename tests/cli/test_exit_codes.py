@@ -17,6 +17,7 @@ VALIDATE = ["validate", "{tmp}/run"]
 PACK = ["pack", "{tmp}/run", "--out", "{tmp}/release", "--name", "n", "--version", "1.0.0"]
 RENDER = ["render", "{tmp}", "--out", "{tmp}/sheet.png"]
 VIEW = ["view", "{tmp}"]
+BENCH = ["bench", "tables", "{tmp}/library", "--out", "{tmp}/tables", "--hand", "capsule"]
 DEMO = ["demo", "--out", "{tmp}/demo"]
 
 FILES = {
@@ -95,6 +96,8 @@ WRITTEN = [
     ([*RENDER, "--views", "9"], "--views"),
     ([*VIEW, "--port", "0"], "--port"),
     ([*DEMO, "--grasps", "0"], "--grasps"),
+    ([*BENCH, "--limit", "0"], "--limit"),
+    ([*BENCH, "--sizes", "90"], "--sizes"),
     # numbers that do not fit together
     ([*SYNTH, "--grasps", "5", "--candidates", "4"], "--candidates"),
     ([*PREPARE, "--set", "repair.loose_weld=1e-9"], "loose_weld"),
@@ -106,6 +109,7 @@ NAMED = [
     ([*PREPARE[:1], "nowhere.obj", *PREPARE[2:]], "nowhere.obj"),
     ([*PREPARE[:2], "--out", "{tmp}"], "choose another --out"),
     (VALIDATE, "run: no such file or folder"),
+    (BENCH, "library: no such file or folder"),
     (PACK, "run: no such file or folder"),
     (RENDER, "neither a library"),
     (VIEW, "neither a library"),
@@ -129,6 +133,7 @@ NAMED = [
     ([*SYNTH, "--executor", "magic"], "known: processes, inline, ray"),
     ([*PREPARE, "--executor", "magic"], "known: processes, inline, ray"),
     ([*VALIDATE, "--executor", "magic"], "known: processes, inline, ray"),
+    ([*BENCH, "--executor", "magic"], "known: processes, inline, ray"),
     ([*DEMO, "--executor", "magic"], "known: processes, inline, ray"),
     ([*SYNTH, "--device", "cuda:99"], "this machine has: cpu"),
     ([*RENDER, "--device", "gpu"], "this machine has: cpu"),

@@ -85,3 +85,27 @@ def test_progress_on_a_terminal_redraws_one_line_and_quiet_says_nothing():
         progress.advance()
         progress.write("a remark")
     assert silent.getvalue() == ""
+
+
+def test_a_command_for_some_objects_shares_out_their_tasks_alone():
+    some = frozenset({"o0", "o2", "o3"})
+    whole = TaskExecution(objects=some).part_of(TASKS)
+    assert {t.object_id for t in whole} == some
+    parts = [TaskExecution(objects=some, shard=(i, 2)).part_of(TASKS) for i in range(2)]
+    assert sorted(t.task_id for part in parts for t in part) == [t.task_id for t in whole]
+    assert TaskExecution().part_of(TASKS) == TASKS
+
+
+def test_a_listener_hears_of_every_task_that_was_done_and_of_no_other(tmp_path: Path):
+    heard: list[tuple[str, int]] = []
+    for bad in ({"o1"}, set()):
+        run_stage(
+            TASKS,
+            done_tasks(tmp_path / "synth"),
+            partial(work, tmp_path / "synth", frozenset(bad)),
+            unit="task",
+            logs=tmp_path / "logs",
+            execution=TaskExecution(executor="inline", quiet=True),
+            on_task=lambda task, summary: heard.append((task.object_id, summary.rows)),
+        )
+    assert heard == [("o0", 2), ("o2", 2), ("o3", 2), ("o4", 2), ("o1", 2)]

@@ -14,6 +14,7 @@ from bidexdata.synthesis.baselines import bimangrasp_energies as energies
 from bidexdata.synthesis.baselines.bimangrasp_config import BimanGraspConfig
 from bidexdata.synthesis.baselines.candidates import contact_candidates
 from bidexdata.synthesis.distance_field import signed_distance, surface_normal
+from bidexdata.synthesis.opening import LEAST_CLOSING, closing_joints
 from bidexdata.synthesis.optimise import read_pose
 
 SIZE_MM = 300
@@ -264,7 +265,7 @@ def test_the_squeeze_is_as_far_beyond_the_grasp_as_the_pregrasp_is_before_it(obj
 
 def test_flexion_closes_the_fingers_and_spreading_does_not(hands):
     for hand in hands:
-        sense = dict(zip(hand.joint_names, bimangrasp.closing_joints(hand, 0.005), strict=True))
+        sense = dict(zip(hand.joint_names, closing_joints(hand, LEAST_CLOSING), strict=True))
         flexion = [n for n in sense if n[-3:] in {"FJ3", "FJ2", "FJ1"}]
         spreading = [n for n in sense if n[-4:] in {"FFJ4", "MFJ4", "RFJ4", "LFJ4"}]
         assert len(flexion) == 12

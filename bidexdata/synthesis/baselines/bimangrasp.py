@@ -11,11 +11,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from bidexdata.devices import start_warp
 from bidexdata.frames import matrix_from_quat
-from bidexdata.hands.kinematics import hand_points
 from bidexdata.synthesis.attempts import Attempts, gather_starts
 from bidexdata.synthesis.baselines.annealing import Annealing, allocate_annealing, anneal
 from bidexdata.synthesis.baselines.candidates import (
@@ -24,6 +22,7 @@ from bidexdata.synthesis.baselines.candidates import (
     surface_points,
     with_contacts,
 )
+from bidexdata.synthesis.opening import opened
 from bidexdata.synthesis.optimise import Optimised, found_at, read_pose, torque_lengths
 from bidexdata.synthesis.optimise_config import EnergyConfig, OptimiseConfig
 from bidexdata.synthesis.pose import Pose
@@ -33,10 +32,7 @@ from bidexdata.synthesis.workspace import Start, allocate
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
     from bidexdata.objects.prepared import PreparedObject
-    from bidexdata.synthesis.baselines.bimangrasp_config import (
-        BimanGraspConfig,
-        BimanGraspStagingConfig,
-    )
+    from bidexdata.synthesis.baselines.bimangrasp_config import BimanGraspConfig
 
 
 def search(
@@ -100,44 +96,6 @@ def seeds(attempts: Sequence[Attempts]) -> np.ndarray:
     return np.array(found, np.int32).reshape(-1)
 
 
-def closing_joints(hand: Hand, least: float) -> Float[np.ndarray, " J"]:
-    """Which way each joint closes its finger: 1, -1, or 0 for those that do neither.
-
-    Args:
-        hand: The hand, in its curved posture.
-        least: Way of a pad along its normal per radian from which a joint closes [m].
-    """
-    step = 1e-4
-    middle = hand_points(hand, hand.posture_curved)
-    sense = np.zeros(len(hand.joint_names))
-    for j in range(len(sense)):
-        turned = hand.posture_curved.copy()
-        turned[j] += step
-        moved = (hand_points(hand, turned).contact - middle.contact) / step
-        along = np.sum(moved * middle.normal, axis=-1)
-        most = along[np.argmax(np.abs(along))]
-        sense[j] = np.sign(most) if abs(most) >= least else 0.0
-    return sense
-
-
-def opened(grasp: Pose, hands: Sequence[Hand], config: BimanGraspStagingConfig) -> Pose:
-    """The pre-grasp of grasps that have none: palms drawn back, fingers opened within limits.
-
-    Source:
-        BiDexGrasp, section 6, how BimanGrasp's grasps were tested.
-    """
-    R = matrix_from_quat(grasp.quat_wxyz)
-    position, joints = grasp.position.copy(), []
-    for h, hand in enumerate(hands):
-        # Sums per component, so that the batch's size cannot change the rounding.
-        out = np.sum(R[:, h] * hand.T_hand_palm[:3, 2], axis=-1)
-        position[:, h] -= config.palm * out
-        sense = closing_joints(hand, config.least_closing)
-        open_ = grasp.joints[h] - config.joints * sense
-        joints.append(np.clip(open_, hand.joint_lower, hand.joint_upper))
-    return Pose(position, grasp.quat_wxyz, (joints[0], joints[1]))
-
-
 def aim(found: Optimised, press: Press, hands: Sequence[Hand], config: BimanGraspConfig) -> Pose:
     """The squeeze: as far beyond the grasp as the pre-grasp is before it."""
     return squeeze(found.pregrasp, found.grasp, press, hands, config.staging)
@@ -164,5 +122,11 @@ def _recorded(
     )
     ws = allocate(obj, hands, ended, lengths, device)
     energy = EnergyConfig(normal_step=config.normal_step)
-    pregrasp = opened(grasp, hands, config.stages)
+    stages = config.stages
+    pregrasp = opened(
+        *(grasp, hands),
+        palm=stages.palm,
+        joints=stages.joints,
+        least_closing=stages.least_closing,
+    )
     return found_at(ws, hands, pregrasp, OptimiseConfig(closure=closure, energy=energy))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from math import pi
 
 from bidexdata.synthesis.baselines.kept import keep_everything
+from bidexdata.synthesis.opening import LEAST_CLOSING
 from bidexdata.synthesis.optimise_config import ClosureConfig, refuse_outside
 from bidexdata.synthesis.selection import SelectionConfig
 from bidexdata.synthesis.staging import StagingConfig
@@ -138,7 +139,7 @@ class BimanGraspStagingConfig:
     joints: float = 0.1
     """Angle by which closing joints open at the pre-grasp, and close at the squeeze [rad]. Paper,
     the same: joints +-0.1 rad."""
-    least_closing: float = 0.005
+    least_closing: float = LEAST_CLOSING
     """A joint closes when it moves its finger's pad along the pad's normal by at least this way per
     radian, in the curved posture [m]. Ours: joints that spread the fingers stay."""
 
