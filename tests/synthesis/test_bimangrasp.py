@@ -14,8 +14,10 @@ from bidexdata.synthesis.baselines import bimangrasp_energies as energies
 from bidexdata.synthesis.baselines.bimangrasp_config import BimanGraspConfig
 from bidexdata.synthesis.baselines.candidates import contact_candidates
 from bidexdata.synthesis.distance_field import signed_distance, surface_normal
+from bidexdata.synthesis.forces import BaseGive
 from bidexdata.synthesis.opening import LEAST_CLOSING, closing_joints
 from bidexdata.synthesis.optimise import read_pose
+from bidexdata.synthesis.staging import Press
 
 SIZE_MM = 300
 FLOAT32 = 2e-3  # relative, of sums of single-precision terms
@@ -247,8 +249,10 @@ def test_an_attempt_does_not_depend_on_how_many_follow_it(obj, hands):
 def test_the_squeeze_is_as_far_beyond_the_grasp_as_the_pregrasp_is_before_it(obj, hands):
     rules = config()
     found = bimangrasp.search(obj, hands, starts(obj, hands, rules), rules)
-    torques = [np.zeros((3, hand.coupling.shape[1])) for hand in hands]
-    target = bimangrasp.aim(found, torques, hands, rules)
+    n = len(found.grasp.position)
+    torques = [np.zeros((n, hand.coupling.shape[1])) for hand in hands]
+    press = Press(torques, BaseGive(np.zeros((n, 2, 3)), np.zeros((n, 2, 3))))
+    target = bimangrasp.aim(found, press, hands, rules)
     for h, hand in enumerate(hands):
         back = found.grasp.position[:, h] - found.pregrasp.position[:, h]
         palm = matrix_from_quat(found.grasp.quat_wxyz[:, h]) @ hand.T_hand_palm[:3, 2]
