@@ -112,7 +112,10 @@ def draw_attempts(
     pairs = select_region_pairs(obj, scene, regions, np.random.default_rng([own, 0]))
     if len(pairs.score) == 0:
         return _without_start(hands, scene, own, count, pairs)
-    sets = usable_sets(hands, config.placement.contacts)
+    on_table = scene.setting == "tabletop"
+    sets = usable_sets(
+        hands, config.placement.table_contacts if on_table else config.placement.contacts
+    )
     placed = interleaved(
         [
             place_palms(

@@ -49,6 +49,8 @@ class PlacementConfig:
     contacts: tuple[ContactSet, ...] = ("fingertips", "with_palm")
     """What the hands touch with: `fingertips` (paper), `pads` (fingertips and the links behind them)
     or `with_palm` (fingertips and places of the palm). Attempts take several in turn."""
+    table_contacts: tuple[ContactSet, ...] = ("fingertips",)
+    """The same on a table, where palms meet it before they meet the object. Measurements, 18."""
     pairs: int = 40
     """Best region pairs that attempts take in turn. Paper 4.2: all K_r = 40.
     Measurements, 2: ranks 1-8 succeed in 91 %, ranks 9-12 in 85 %."""
@@ -90,10 +92,10 @@ class PlacementConfig:
     """Draws per attempt before it counts as not placeable. Ours."""
 
     def __post_init__(self) -> None:
-        if not self.contacts or len(set(self.contacts)) != len(self.contacts):
-            raise BadConfig(
-                "PlacementConfig.contacts must name at least one contact set, each once"
-            )
+        for name in ("contacts", "table_contacts"):
+            sets = getattr(self, name)
+            if not sets or len(set(sets)) != len(sets):
+                raise BadConfig(f"PlacementConfig.{name} must name contact sets, each once")
         ranges = {
             "pairs": (1, 100_000),
             "standoff": (0.0, 1.0),

@@ -107,6 +107,7 @@ PAPER_GIVEN = (
     Kept("regions.gap", "appendix B: tau_2 = 5 cm"),
     Kept("regions.kept", "4.2: K_r = 40"),
     Kept("placement.pairs", "4.2: all K_r pairs"),
+    Kept("placement.table_contacts", "limitations: contacts at the fingertips alone"),
     Kept("placement.left_direction", "appendix B: (1, -1, -1)"),
     Kept("placement.right_direction", "appendix B: (1, 1, -1)"),
     Kept("optimise.closure.qp.cap", "appendix A: normal forces up to 1"),

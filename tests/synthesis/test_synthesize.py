@@ -270,6 +270,18 @@ def test_attempts_take_contact_sets_in_turn_and_rows_say_which(obj, hands, scene
         assert len(np.unique(ids, axis=0)) <= 1
 
 
+def test_a_table_has_contact_sets_of_its_own(obj, hands):
+    height = float(-obj.solid.vertices[:, 2].min() * 0.4)
+    scene = Scene(obj.object_id, 400, "tabletop", 0, (0.0, 0.0, height))
+    for name, count in (("fingertips", 5), ("with_palm", 10)):
+        sets = ["placement.contacts=[pads]", f"placement.table_contacts=[{name}]"]
+        config = with_overrides(SynthConfig(), sets)
+        made = synthesize(obj, hands, [scene], config, seed=1, grasps=GRASPS)
+        good = made.select(made["synth_status"] == Status.OK)
+        assert len(good)
+        assert np.all(np.sum(good["contact_index"] >= 0, axis=2) == count)
+
+
 def test_with_palm_grasps_bring_the_palm_to_the_object(obj, hands):
     scene = [Scene(obj.object_id, 500)]
     found = {}
