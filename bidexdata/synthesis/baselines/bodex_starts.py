@@ -108,7 +108,7 @@ def draw_starts(
 
 def posture(hand: Hand, angles: dict[str, float]) -> Float[np.ndarray, " J"]:
     """Joint angles by name without the side's prefix; the others as near to zero as they may."""
-    q = np.array([angles.get(name.rsplit("_", 1)[-1], 0.0) for name in hand.joint_names])
+    q = np.array([angles.get(n.removeprefix(hand.prefix), 0.0) for n in hand.joint_names])
     return np.clip(q, hand.joint_lower, hand.joint_upper)
 
 
