@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from bidexdata import Run
 from bidexdata.record import GraspBatch, Status
 from bidexdata.simulation.distances import pregrasp_penetration
+from bidexdata.synthesis.selection import doubts
 
 CRITERIA = {
     "qp_residual": "coupled residual",
@@ -55,6 +56,13 @@ def measure(path: str, protocol: str, test: str) -> dict[str, Any]:
             of[cause.label] = auc(figure[among], failed[among])
         found["auc"][words] = of
     hands = rows["qp_residual_hand"].astype(np.float64).max(axis=1)
+    contacts = np.sum(rows["contact_index"] >= 0, axis=(1, 2))
+    doubt = doubts(
+        rows["qp_residual_shifted"].astype(np.float64),
+        np.sqrt(rows["energy_distance"] / contacts),
+        np.sqrt(rows["energy_self"].astype(np.float64)),
+    )
+    found["auc"]["doubt, the order of the selection"] = {"all": auc(doubt, failed)}
     found["auc"]["residual of the worse hand alone"] = {"all": auc(hands, failed)}
     return found
 

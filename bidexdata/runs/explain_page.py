@@ -135,7 +135,7 @@ def _attempts(report: ExplainReport, run_fingerprint: str) -> str:
         name = f"**{ids[i]}**" if i == one.number else ids[i]
         flags = [w for w, is_ in (("selected", found.selected), ("audit", found.audit)) if is_[i]]
         pair = "-" if placed is None else str(int(placed.pair_index[i]) + 1)
-        figures = [1e3 * abs(found.depth[i]), found.residual[i], found.shifted[i]]
+        figures = [1e3 * abs(found.depth[i]), found.residual[i], found.shifted[i], found.doubt[i]]
         numbers = [f"{v:.3g}" if np.isfinite(v) else "-" for v in figures]
         status = Status(int(found.status[i])).label
         rows.append((place.get(i, "-"), first + i, name, pair, status, *numbers, " ".join(flags)))
@@ -148,6 +148,7 @@ def _attempts(report: ExplainReport, run_fingerprint: str) -> str:
         "pre-grasp depth [mm]",
         "residual",
         "moved contacts' residual",
+        "doubt",
         "rows",
     )
     return _table(head, rows)

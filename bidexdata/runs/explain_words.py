@@ -201,7 +201,7 @@ def _selection(one: Explanation, config: SynthConfig, grasps: int) -> StageWords
         )
         return StageWords("selection", text, False)
     rank = f"rank {one.rank} of {counted(len(one.order), 'attempt')} that may be kept"
-    by = f"residual of moved contacts {found.shifted[i]:.3g}"
+    by = f"doubt {found.doubt[i]:.3g}"
     if found.depth[i] > select.clear_depth:
         clear = int(np.sum(found.depth[one.order] <= select.clear_depth))
         by += (
@@ -209,7 +209,7 @@ def _selection(one: Explanation, config: SynthConfig, grasps: int) -> StageWords
             f"at most {_mm(select.clear_depth)} in it"
         )
     last = one.order[: min(grasps, len(one.order))][-1]
-    kept = f"the best {grasps} are kept, the last of them has {found.shifted[last]:.3g}"
+    kept = f"the best {grasps} are kept, the last of them has {found.doubt[last]:.3g}"
     verdict = "kept" if found.selected[i] else "not kept"
     return StageWords("selection", f"{verdict}: {rank}; {by}; {kept}", bool(found.selected[i]))
 

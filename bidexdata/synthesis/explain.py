@@ -163,7 +163,7 @@ def explain_attempt(
         attempts=one,
         found=found,
         order=selection_order(
-            *(found.status, found.depth, found.residual, found.shifted),
+            *(found.status, found.depth, found.residual, found.doubt),
             *(found.places, config.selection),
         ),
         hands=views,

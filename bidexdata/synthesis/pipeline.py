@@ -33,7 +33,7 @@ from bidexdata.synthesis.optimise import Optimised
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.readout import Energies
 from bidexdata.synthesis.rows import scene_rows
-from bidexdata.synthesis.selection import SelectionConfig, audit, best, judge
+from bidexdata.synthesis.selection import SelectionConfig, audit, best, doubts, judge
 from bidexdata.synthesis.staging import Press
 
 if TYPE_CHECKING:
@@ -102,6 +102,8 @@ class Outcome(NamedTuple):
     """Coupled zero-load QP residual [-], (M,)."""
     shifted: np.ndarray
     """Residual of moved contacts [-], (M,)."""
+    doubt: np.ndarray
+    """What the order is by, least first [m2], (M,)."""
     places: np.ndarray
     """Origins of the hand frames at the grasp, object frame [m], (M, 2, 3)."""
     selected: np.ndarray
@@ -361,12 +363,20 @@ def outcome(
     placed = one.status == Status.OK
     status = one.status.copy()
     status[placed] = staged.status[rows]
-    depth, residual, shifted = np.full((3, len(status)), np.nan)
+    depth, residual, shifted, doubt = np.full((4, len(status)), np.nan)
     depth[placed] = staged.overlaps.depth[rows]
     residual[placed] = staged.residual[rows]
     shifted[placed] = staged.shifted[rows]
+    doubt[placed] = doubts(staged.shifted, *_looseness(staged))[rows]
     places = np.full((len(status), 2, 3), np.nan)
     places[placed] = staged.grasp.position[rows]
-    selected = best(status, depth, residual, shifted, places, grasps, config)
+    selected = best(status, depth, residual, doubt, places, grasps, config)
     drawn = audit(len(status), grasps, np.random.default_rng([one.seed, 2]))
-    return Outcome(status, depth, residual, shifted, places, selected, drawn)
+    return Outcome(status, depth, residual, shifted, doubt, places, selected, drawn)
+
+
+def _looseness(staged: Staged) -> tuple[np.ndarray, np.ndarray]:
+    """Mean square root of the pads' gaps, and root of the hands' squared overlaps [m], (K,) each."""
+    contacts = np.sum(staged.contacts.number >= 0, axis=(1, 2))
+    gap = np.sqrt(staged.energies.distance / np.maximum(contacts, 1))
+    return gap, np.sqrt(staged.energies.self_penetration)

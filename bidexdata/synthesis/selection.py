@@ -13,6 +13,9 @@ from jaxtyping import Bool, Float, Int, Int8
 from bidexdata.record import Status
 from bidexdata.synthesis.optimise_config import refuse_outside
 
+_LEAST_RESIDUAL, _LEAST_GAP, _LEAST_OVERLAP = 1e-7, 1e-4, 3e-5
+"""Smaller figures are as good as these [-, m, m]: float32, the grid's error."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SelectionConfig:
@@ -39,8 +42,8 @@ class SelectionConfig:
     """Of attempts whose two hands lie nearer to each other's than this the best comes first, the
     others behind all that differ; 0 prefers none [m]. Ours."""
     shift: float = 0.012
-    """How far contacts are moved for the shifted residual, by which attempts are ordered [m].
-    Measurements, 14."""
+    """How far contacts are moved for the shifted residual, in the figure by which attempts are ordered
+    [m]. Measurements, 14 and 19."""
     weight: float = 1.0
     """Share of the object's weight that moved contacts must carry along the six axes in turn, pressed
     as hard as the squeeze will press [-]; 0 leaves it out. Ours."""
@@ -135,34 +138,59 @@ def touching(gaps: Float[np.ndarray, "K 2 C"], config: SelectionConfig) -> Int[n
         return np.sum(np.abs(gaps) <= config.contact_tolerance, axis=2)
 
 
+def doubts(
+    shifted: Float[np.ndarray, " M"],
+    gap: Float[np.ndarray, " M"],
+    overlap: Float[np.ndarray, " M"],
+) -> Float[np.ndarray, " M"]:
+    """Give the figure by which attempts are ordered, least first: a product of three [m2].
+
+    What balance is left when every finger touches a little elsewhere, how far the pads are off the
+    surface, and how far the hands are in themselves and each other. Each foretells failure, none
+    follows from the others, and a logistic fit gives their logarithms about the same weight.
+
+    Args:
+        shifted: Residual of moved contacts that carry the weight [-].
+        gap: Mean square root of the pads' distances from the surface [m].
+        overlap: Root of the sum of squared overlaps within and between the hands [m].
+
+    Source:
+        Ours; docs/measurements.md, 19.
+    """
+    return np.asarray(
+        np.maximum(shifted, _LEAST_RESIDUAL)
+        * np.maximum(gap, _LEAST_GAP)
+        * np.maximum(overlap, _LEAST_OVERLAP)
+    )
+
+
 def best(
     status: Int8[np.ndarray, " M"],
     depth: Float[np.ndarray, " M"],
     residual: Float[np.ndarray, " M"],
-    shifted: Float[np.ndarray, " M"],
+    doubt: Float[np.ndarray, " M"],
     places: Float[np.ndarray, "M 2 3"],
     count: int,
     config: SelectionConfig,
 ) -> Bool[np.ndarray, " M"]:
-    """Mark the best `count` attempts: clear of the object first, then by balance of forces.
+    """Mark the best `count` attempts: clear of the object first, then those with the least doubt.
 
-    What counts is the balance that is left when every finger touches a little elsewhere. Of attempts
-    that are alike one comes first, and the others behind all that differ.
+    Of attempts that are alike one comes first, and the others behind all that differ.
 
     Args:
         status: Of all M attempts of a scene.
         depth: Pre-grasp penetration [m]; NaN where there is no grasp.
         residual: Coupled zero-load QP residual [-]; NaN where there is no grasp.
-        shifted: The same, mean over sets of contacts that are moved along the surface [-].
+        doubt: From `doubts`; NaN where there is no grasp.
         places: Origins of the hand frames at the grasp, object frame [m]; NaN where there is none.
         count: N, grasps to keep.
         config: Limits.
 
     Source:
-        docs/measurements.md, 6 (89 -> 99.7 % for the best 8 of 32) and 14.
+        docs/measurements.md, 6 (89 -> 99.7 % for the best 8 of 32), 14 and 19.
     """
     chosen = np.zeros(len(status), bool)
-    chosen[selection_order(status, depth, residual, shifted, places, config)[:count]] = True
+    chosen[selection_order(status, depth, residual, doubt, places, config)[:count]] = True
     return chosen
 
 
@@ -170,14 +198,14 @@ def selection_order(
     status: Int8[np.ndarray, " M"],
     depth: Float[np.ndarray, " M"],
     residual: Float[np.ndarray, " M"],
-    shifted: Float[np.ndarray, " M"],
+    doubt: Float[np.ndarray, " M"],
     places: Float[np.ndarray, "M 2 3"],
     config: SelectionConfig,
 ) -> Int[np.ndarray, " U"]:
     """Number the attempts that may be kept, best first; arguments are those of `best`."""
     able = (status == Status.OK) & (residual <= config.largest_residual)
     # The attempt's number breaks ties, so that the order is always the same.
-    order = np.lexsort((np.arange(len(status)), shifted, depth > config.clear_depth))
+    order = np.lexsort((np.arange(len(status)), doubt, depth > config.clear_depth))
     return _unlike_first(order[able[order]], places, config.apart)
 
 

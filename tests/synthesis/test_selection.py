@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from bidexdata.record import Status
-from bidexdata.synthesis.selection import SelectionConfig, audit, best, judge, selection_order
+from bidexdata.synthesis.selection import (
+    SelectionConfig,
+    audit,
+    best,
+    doubts,
+    judge,
+    selection_order,
+)
 from bidexdata.validation.protocols import load_protocol
 
 CONFIG = SelectionConfig(largest_residual=0.5, clear_depth=0.001, start_depth=0.01, apart=0.0)
@@ -37,6 +44,22 @@ def test_no_attempt_left_out_is_better_than_one_kept(count):
 def test_equal_attempts_are_kept_in_their_order():
     kept = best(np.zeros(6, np.int8), *np.zeros((3, 6)), NOWHERE[:6], 2, CONFIG)
     assert kept.tolist() == [True, True, False, False, False, False]
+
+
+def test_doubt_is_the_product_of_three_and_small_figures_count_alike():
+    one = np.ones(1)
+    np.testing.assert_allclose(doubts(0.1 * one, 0.002 * one, 0.003 * one), 6e-7)
+    base = doubts(0.1 * one, 0.002 * one, 0.003 * one)
+    for k in range(3):
+        more = [0.1 * one, 0.002 * one, 0.003 * one]
+        more[k] = 2 * more[k]
+        np.testing.assert_allclose(doubts(*more), 2 * base)
+        more[k] = 0 * one
+        lower = doubts(*more)
+        assert lower > 0
+        more[k] = 1e-8 * one
+        assert doubts(*more) == lower
+    assert np.isnan(doubts(np.nan * one, one, one))
 
 
 def test_of_attempts_that_are_alike_the_best_comes_first_and_the_others_last():
