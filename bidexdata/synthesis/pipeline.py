@@ -68,6 +68,20 @@ class GraspContacts(NamedTuple):
     """Forces on the object of the coupled zero-load QP [caps], (K, 2, C, 3)."""
 
 
+class _Made(NamedTuple):
+    """Grasps as they were found, before they are looked at; fields as in `Staged`."""
+
+    pregrasp: Pose
+    grasp: Pose
+    squeeze: Pose
+    energies: Energies
+    contacts: GraspContacts
+    residual: np.ndarray
+    residual_hand: np.ndarray
+    shifted: np.ndarray
+    force_scale: np.ndarray
+
+
 class Staged(NamedTuple):
     """Finished grasps of all scenes, in the order of the starts."""
 
@@ -195,7 +209,16 @@ def grasp_attempts(
         search = own.get(name, method.search)
         parts.append(_grasp_set(obj, hands, name, some, config, device, search))
         places.append(rows)
-    return parts[0] if len(parts) == 1 else _scattered(parts, places)
+    made: _Made = parts[0] if len(parts) == 1 else _scattered(parts, places)
+    stages = (made.pregrasp, made.grasp, made.squeeze)
+    finite = np.logical_and.reduce([pose.finite() for pose in stages])
+    deep = Overlaps(*_depths(obj, hands, attempts, stages, finite))
+    status = judge(
+        *(finite, made.contacts.gaps, deep.depth, config.selection),
+        among_hands=deep.among_hands,
+        table=deep.table,
+    )
+    return Staged(**made._asdict(), overlaps=deep, status=status)
 
 
 def _grasp_set(
@@ -206,7 +229,7 @@ def _grasp_set(
     config: MethodConfig,
     device: str,
     search: Search,
-) -> Staged:
+) -> _Made:
     """Finish attempts that all touch with the same contact set."""
     from bidexdata.simulation.compliance import weld_stiffness
 
@@ -239,16 +262,10 @@ def _grasp_set(
         ),
     )
     target = method.aim(found, press, views, config)
-    finite = found.pregrasp.finite() & found.grasp.finite() & target.finite()
-    stages = (found.pregrasp, found.grasp, target)
-    deep = Overlaps(*_depths(obj, hands, attempts, stages, finite))
-    status = judge(
-        *(finite, found.gaps, deep.depth, select), among_hands=deep.among_hands, table=deep.table
-    )
-    return Staged(
+    return _Made(
         *(found.pregrasp, found.grasp, target, found.energies),
         _widened(hands, name, found, forces),
-        *(forces.residual, forces.residual_hand, shifted, scale, deep, status),
+        *(forces.residual, forces.residual_hand, shifted, scale),
     )
 
 
