@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -13,18 +13,13 @@ from bidexdata.cli import options
 from bidexdata.cli.report import command, finish, percent, table, warn
 
 bench = typer.Typer(invoke_without_command=True, no_args_is_help=False)
-if TYPE_CHECKING:
-    _Context = typer.Context
-else:
-    # What typer hands over is its base: click's class, or that of the copy which it carries.
-    _Context = typer.Context.__bases__[0]
 
 BENCHES = {"tables": "the paper's tables of the data synthesis on a library: success, depth, speed"}
 
 
 @bench.callback()
 def _list(
-    context: _Context,
+    context: options.Context,
     as_json: options.Json = False,
     quiet: options.Quiet = False,
     debug: options.Debug = False,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -12,17 +12,12 @@ from bidexdata.cli.report import command, finish, table
 from bidexdata.wording import counted
 
 hands = typer.Typer(invoke_without_command=True, no_args_is_help=False)
-if TYPE_CHECKING:
-    _Context = typer.Context
-else:
-    # What typer hands over is its base: click's class, or that of the copy which it carries.
-    _Context = typer.Context.__bases__[0]
 _WORDS = {True: "ok", False: "FAILED", None: "-"}
 
 
 @hands.callback()
 def _list(
-    context: _Context,
+    context: options.Context,
     as_json: options.Json = False,
     quiet: options.Quiet = False,
     debug: options.Debug = False,

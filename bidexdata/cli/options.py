@@ -11,6 +11,11 @@ import typer
 if TYPE_CHECKING:
     from bidexdata.runs.stage import TaskExecution
 
+    Context = typer.Context
+else:
+    # What typer hands over is its base: click's class, or that of the copy which it carries.
+    Context = typer.Context.__bases__[0]
+
 T = TypeVar("T")
 
 Workers = Annotated[int, typer.Option(min=0, help="Worker processes; 0 means one per core.")]
