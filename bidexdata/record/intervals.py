@@ -11,8 +11,8 @@ interval names it:
   too narrow for few objects, as normal quantiles are against Student's; they are moved out by just
   that (the expanded percentile interval), which leaves large samples as they are.
 - `object t`, two to nine objects: too few to resample. Student's t with objects - 1 degrees of
-  freedom and the jackknife's standard error, from the means without each object; wide, as it
-  should be. With as many grasps of each it is the textbook interval of the objects' means.
+  freedom and the jackknife's standard error, from how the means without each object scatter about
+  their own mean; wide, as it should be. With as many grasps of each it is the textbook interval of the objects' means.
 
 Where the objects' means do not differ, or there is one object only, objects say nothing.
 
@@ -70,7 +70,8 @@ def object_interval(
     if objects >= MIN_OBJECTS:
         return Interval(*_bootstrap([t / unit for t in totals], counts, seed), "object bootstrap")
     moved = [o / unit / (n - c) for o, c in zip(off, counts, strict=True)]
-    error = sqrt((objects - 1) / objects * sum(d * d for d in moved)) / n
+    centre = sum(moved) / objects  # 0 where all objects have as many grasps
+    error = sqrt((objects - 1) / objects * sum((d - centre) ** 2 for d in moved)) / n
     mean, half = total / (n * unit), t95(objects - 1) * error
     return Interval(mean - half, mean + half, "object t")
 

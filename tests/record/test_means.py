@@ -80,6 +80,17 @@ def test_few_objects_with_one_grasp_each_have_it_too():
     assert found.high == pytest.approx(found.mean + half, rel=1e-4)
 
 
+def test_few_objects_with_unlike_numbers_of_grasps_have_the_jackknife_of_efron():
+    """The means without each object scatter about their own mean, which is not the pooled one."""
+    rows = [np.array(r) for r in ([1.0], [3.0, 5.0, 4.0, 6.0, 2.0], [0.5, 1.5])]
+    found, k = interval(rows), len(rows)
+    without = [np.concatenate([r for j, r in enumerate(rows) if j != i]).mean() for i in range(k)]
+    error = np.sqrt((k - 1) / k * np.sum((np.array(without) - np.mean(without)) ** 2))
+    assert np.mean(without) != pytest.approx(found.mean, rel=0.05)
+    assert found.method == "object t"
+    assert found.high - found.mean == pytest.approx(stats.t.ppf(0.975, k - 1) * error, rel=1e-4)
+
+
 @pytest.mark.parametrize("objects", [1, 2, 9, 10, 25])
 @pytest.mark.parametrize("value", [0.0, 0.1])
 def test_equal_numbers_have_an_interval_without_width(objects, value):
