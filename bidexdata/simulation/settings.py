@@ -6,6 +6,7 @@ The defaults are those of protocol `paper-1`. Where the paper is silent they fol
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -95,22 +96,46 @@ class SceneSettings:
     """Share of gravity that does not act on the hands [-]."""
 
     def __post_init__(self) -> None:
-        positive = ("timestep", "impratio", "density", "tolerance")
-        optional = ("mass", "actuator_kp", "actuator_force")
-        optional = tuple(name for name in optional if getattr(self, name) is not None)
-        for name in positive + optional:
-            if not getattr(self, name) > 0:
-                raise BadConfig(
-                    f"SceneSettings.{name} must be positive, not {getattr(self, name)!r}"
-                )
+        for name in ("timestep", "impratio", "density", "tolerance", "weld_torque_scale"):
+            self._require(name, "positive", good=0 < getattr(self, name) < math.inf)
+        for name in ("mass", "actuator_kp", "actuator_force"):
+            value = getattr(self, name)
+            self._require(name, "positive", good=value is None or 0 < value < math.inf)
         for name in ("friction_slide", "friction_spin", "friction_roll", "noslip_iterations"):
-            if not getattr(self, name) >= 0:
-                raise BadConfig(
-                    f"SceneSettings.{name} must not be negative, got {getattr(self, name)!r}"
-                )
-        if self.condim not in (1, 3, 4, 6):
-            raise BadConfig(f"SceneSettings.condim must be 1, 3, 4 or 6, not {self.condim!r}")
+            self._require(name, "zero or more", good=0 <= getattr(self, name) < math.inf)
+        self._require("solver_iterations", "at least 1", good=self.solver_iterations >= 1)
+        self._require("condim", "1, 3, 4 or 6", good=self.condim in (1, 3, 4, 6))
+        for name in ("hand_solref", "weld_solref"):
+            good = all(0 < v < math.inf for v in getattr(self, name))
+            self._require(name, "two positive numbers", good=good)
+        for name in ("hand_solimp", "weld_solimp"):
+            self._require(name, _SOLIMP, good=_is_solimp(getattr(self, name)))
+        for name in ("slide_gains", "hinge_gains"):
+            stiffness, damping = getattr(self, name)
+            good = 0 < stiffness < math.inf and 0 <= damping < math.inf
+            self._require(name, "a positive stiffness and a damping of zero or more", good=good)
+        finite = all(math.isfinite(v) for v in self.weld_anchor)
+        self._require("weld_anchor", "three finite numbers", good=finite)
+        share = self.hand_gravity_compensation
+        self._require("hand_gravity_compensation", "a share from 0 to 1", good=0 <= share <= 1)
+
+    def _require(self, name: str, what: str, *, good: bool) -> None:
+        if not good:
+            raise BadConfig(f"SceneSettings.{name} must be {what}, not {getattr(self, name)!r}")
 
     def density_of(self, solid: Solid, size: float) -> float:
         """Density [kg/m^3] of a solid at bounding-box diagonal `size` [m]."""
         return self.density if self.mass is None else self.mass / (solid.nominal_volume * size**3)
+
+
+_SOLIMP = (
+    "two impedances between 0 and 1, a width of zero or more, a midpoint in (0, 1), a power >= 1"
+)
+
+
+def _is_solimp(values: tuple[float, ...]) -> bool:
+    """Whether MuJoCo would take an impedance, all of it or its first three numbers, as it stands."""
+    least, most, width, *shape = values
+    midpoint, power = shape or (0.5, 2.0)
+    bounded = all(0 < v < 1 for v in (least, most, midpoint))
+    return bounded and 0 <= width < math.inf and 1 <= power < math.inf
