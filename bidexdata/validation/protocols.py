@@ -20,6 +20,7 @@ from bidexdata.simulation.settings import SceneSettings
 
 WARP_SUFFIX = "-warp"
 """How the names of protocols end whose verdicts are MuJoCo Warp's, and no others."""
+_FILES = (".yaml", ".yml")
 _NAME = re.compile(r"[a-z0-9][a-z0-9_.-]{0,63}")
 
 
@@ -150,10 +151,19 @@ class Protocol:
             raise BadConfig(f"Protocol.limit_rot must be in (0, pi], not {self.limit_rot!r}")
         if self.steps_per_check < 1 or self.checks < 1:
             raise BadConfig("Protocol.check_every must be at least a timestep and at most hold")
-        if not math.isclose(self.steps_per_check * self.scene.timestep, self.check_every):
-            raise BadConfig("Protocol.check_every must be a multiple of scene.timestep")
         if self.lift.hold > 0 and self.lift_checks < 1:
             raise BadConfig("Protocol.lift.hold must be 0 or at least check_every")
+        for name, of, unit in (
+            ("check_every", "scene.timestep", self.scene.timestep),
+            ("load_after", "scene.timestep", self.scene.timestep),
+            ("hold", "check_every", self.check_every),
+            ("lift.hold", "check_every", self.check_every),
+        ):
+            time = self.lift.hold if name == "lift.hold" else getattr(self, name)
+            if time is not None and not math.isclose(round(time / unit) * unit, time):
+                raise BadConfig(
+                    f"Protocol.{name} must be a multiple of {of} ({unit:g} s), not {time!r}"
+                )
         unknown = [t for t in self.tests if t not in JUDGED]
         if unknown or not self.tests:
             known = " and ".join(JUDGED)
@@ -217,8 +227,8 @@ def protocol_names() -> tuple[str, ...]:
 def load_protocol(name: str | Path) -> Protocol:
     """Give a protocol by name, or read one from a YAML file.
 
-    A file may name a `base`, a known protocol whose settings it changes; it needs a `name` and a
-    `description` of its own.
+    A file may name a `base`, a known protocol or another file whose settings it changes; it needs
+    a `name` and a `description` of its own.
 
     Args:
         name: A name from `protocol_names`, or the path of a `.yaml` or `.yml` file.
@@ -226,14 +236,14 @@ def load_protocol(name: str | Path) -> Protocol:
     Raises:
         UnknownName: No protocol is called so.
         PathNotFound: The file does not exist.
-        BadConfig: The file has an unknown key or an impossible value.
+        BadConfig: The file has an unknown key or an impossible value, or is its own base.
         NotUsable: The file takes the name of a known protocol for other settings, or the name
             is that of verdicts of MuJoCo Warp.
     """
     from .named import NAMED
 
     text = str(name)
-    if text.endswith((".yaml", ".yml")):
+    if text.endswith(_FILES):
         return _from_file(Path(text))
     base = text.removesuffix(WARP_SUFFIX)
     if base != text and base in NAMED:
@@ -257,17 +267,34 @@ def protocol_from(data: Any, where: str) -> Protocol:
     return from_plain(Protocol, data, f"{where}:")
 
 
-def _from_file(path: Path) -> Protocol:
+def _from_file(path: Path, above: tuple[Path, ...] = ()) -> Protocol:
+    """Read a file.
+
+    Args:
+        path: The file.
+        above: The files, resolved, whose base it is.
+    """
+    chain = (*above, path.resolve())
+    if chain[-1] in above:
+        names = " -> ".join(p.name for p in chain[above.index(chain[-1]) :])
+        raise BadConfig(f"{path}: a protocol cannot be its own base ({names})")
     data = load_yaml(path)
     base = data.pop("base", None)
     missing = [key for key in ("name", "description") if key not in data]
     if missing:
         raise BadConfig(f"{path}: a protocol needs its own {' and '.join(missing)}")
     if base is not None:
-        data = merge(to_plain(load_protocol(str(base))), data)
+        data = merge(to_plain(_base(str(base), path, chain)), data)
     protocol = protocol_from(data, str(path))
     require_own_name(protocol, f"{path}: ")
     return protocol
+
+
+def _base(name: str, path: Path, chain: tuple[Path, ...]) -> Protocol:
+    """The protocol that a file changes: a named one, or a file found from its own folder."""
+    if name.endswith(_FILES):
+        return _from_file(path.parent / name, chain)
+    return load_protocol(name)
 
 
 def require_own_name(protocol: Protocol, where: str = "") -> None:

@@ -65,12 +65,41 @@ def test_an_unknown_protocol_names_the_known_ones():
         {"unstable_speed": 0.0},
         {"load_after": 0.0},
         {"directions": ("+x", "+x")},
+        {"load_after": 0.001},
+        {"load_after": 0.202},
+        {"hold": 0.25},
+        {"hold": 3.04},
         {"lift": LiftRules(hold=0.04)},
+        {"lift": LiftRules(hold=0.15)},
     ],
 )
 def test_impossible_protocols_are_refused(change):
     with pytest.raises(BadConfig, match=next(iter(change))):
         replace(load_protocol("paper-1"), **change)
+
+
+def written(path, base, name):
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(f"base: {base}\nname: {name}\ndescription: of a test\nhold: 1.0\n")
+    return path
+
+
+def test_a_base_is_found_beside_the_file_that_names_it(tmp_path, monkeypatch):
+    written(tmp_path / "mine" / "first.yaml", "paper-1-mass500g", "first-1")
+    second = written(tmp_path / "mine" / "second.yaml", "first.yaml", "second-1")
+    for folder in (tmp_path, tmp_path / "mine"):
+        monkeypatch.chdir(folder)
+        found = load_protocol(second)
+        assert (found.name, found.hold, found.scene.mass) == ("second-1", 1.0, 0.5)
+
+
+@pytest.mark.parametrize("bases", [["a.yaml"], ["b.yaml", "a.yaml"], ["b.yaml", "../x/b.yaml"]])
+def test_a_file_that_leads_back_to_itself_is_refused(tmp_path, bases):
+    names = ("a", "b")
+    for name, base in zip(names, bases, strict=False):
+        written(tmp_path / "x" / f"{name}.yaml", base, f"{name}-1")
+    with pytest.raises(BadConfig, match=r"cannot be its own base \((a|b)\.yaml -> .*\)$"):
+        load_protocol(tmp_path / "x" / "a.yaml")
 
 
 def test_a_key_that_published_settings_leave_out_can_be_set():
