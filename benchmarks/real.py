@@ -205,7 +205,6 @@ def _time_steps(scene: SimScene, rules: Protocol, grasp: Grasp) -> tuple[float, 
 
     model, data, copy = scene.model, scene.data, mujoco.MjData(scene.model)
     noslip, sweeps = NoslipSteps(model, copy), model.opt.noslip_iterations
-    noslip.applies()
     at = (grasp.hand_pos[:, 0], grasp.hand_quat[:, 0], grasp.joints[:, 0])
     set_pose(scene, grasp.object_pos, grasp.object_quat, *at)
     close_hands(scene, rules, grasp, Execution())
@@ -224,7 +223,7 @@ def _time_steps(scene: SimScene, rules: Protocol, grasp: Grasp) -> tuple[float, 
             getattr(mujoco, name)(model, copy)
             parts[k] += time.perf_counter() - start
         start = time.perf_counter()
-        noslip.correct()
+        noslip.correct(sweeps)
         parts[-1] += time.perf_counter() - start
         model.opt.noslip_iterations = sweeps
         start = time.perf_counter()

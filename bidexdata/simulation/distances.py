@@ -101,7 +101,9 @@ def measure_distances(
         last_body_counts: The last body of the left hand takes part in self and inter-hand depths.
     """
     set_pose(scene, object_pos, object_quat, hand_pos, hand_quat, joints)
-    owners, geoms, dist, points, normals = list_contacts(scene, reach, full_broad_phase)
+    owners, geoms, dist, points, normals = list_contacts(
+        scene, reach, full_broad_phase=full_broad_phase
+    )
     of_object = scene.object_owner
     with_object = (owners[:, 0] >= 0) & (owners[:, 1] == of_object)
     among_hands = (owners[:, 0] >= 0) & (owners[:, 1] < of_object)
@@ -200,7 +202,7 @@ class Contacts(NamedTuple):
     """Unit normal from the first geom to the second, (K, 3)."""
 
 
-def list_contacts(scene: SimScene, reach: float, full_broad_phase: bool) -> Contacts:
+def list_contacts(scene: SimScene, reach: float, *, full_broad_phase: bool) -> Contacts:
     """List the contacts of the scene's state.
 
     Args:

@@ -38,8 +38,6 @@ class NoslipSteps:
         import mujoco
 
         model, opt = self._model, self._model.opt
-        if opt.noslip_iterations != self._iterations:
-            self._iterations, self._sizes = opt.noslip_iterations, (0, 0, 0)
         return bool(
             opt.noslip_iterations > 0
             and opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -56,6 +54,7 @@ class NoslipSteps:
         import mujoco
 
         model, data = self._model, self._data
+        iterations = int(model.opt.noslip_iterations)
         model.opt.noslip_iterations = 0
         try:
             for _ in range(steps):
@@ -67,14 +66,20 @@ class NoslipSteps:
                 mujoco.mj_fwdAcceleration(model, data)
                 mujoco.mj_fwdConstraint(model, data)
                 mujoco.mj_checkAcc(model, data)
-                self.correct()
+                self.correct(iterations)
                 mujoco.mj_implicit(model, data)
         finally:
-            model.opt.noslip_iterations = self._iterations
+            model.opt.noslip_iterations = iterations
 
-    def correct(self) -> None:
-        """Change `data.qfrc_constraint` by what the pass changes, after `mj_fwdConstraint`."""
+    def correct(self, iterations: int) -> None:
+        """Change `data.qfrc_constraint` by what the pass changes, after `mj_fwdConstraint`.
+
+        Args:
+            iterations: Of the pass; the model's own number may be 0 while the engine steps.
+        """
         data = self._data
+        if iterations != self._iterations:  # the recorded launch is of another number
+            self._iterations, self._sizes = iterations, (0, 0, 0)
         rows, entries, contacts = data.nefc, len(data.efc_J), data.ncon
         if rows > self._sizes[0] or entries > self._sizes[1] or contacts > self._sizes[2]:
             self._allocate(rows, entries, contacts)

@@ -64,7 +64,7 @@ def force_closure(
     drift_rot = float(np.fmax(turned, phase.drift_rot))
     margin = np.nan
     if execution.load_margin:
-        margin = largest_multiple(phase.status is Status.OK, lambda m: loaded(m)[0] < 0)
+        margin = largest_multiple(lambda m: loaded(m)[0] < 0, holds_one=phase.status is Status.OK)
     if direction < 0:
         return Verdict(Status.OK, drift_pos=drift_pos, drift_rot=drift_rot, load_margin=margin)
     cause = hold_cause(phase, touched=touched, thrown=status is not Status.OK)

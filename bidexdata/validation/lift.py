@@ -44,8 +44,8 @@ def lift(
         margin = np.nan
         if execution.load_margin:
             margin = largest_multiple(
-                first.ended is TestStage.NONE,
                 lambda m: _lifted(scene, protocol, grasp, execution, m).ended is TestStage.NONE,
+                holds_one=first.ended is TestStage.NONE,
             )
     finally:
         clear_load(scene)

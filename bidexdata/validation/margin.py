@@ -14,13 +14,13 @@ BISECTIONS = 3
 """Halvings of the last octave: the margin is known to a factor 2^(1/8), 9 %."""
 
 
-def largest_multiple(holds_one: bool, holds: Callable[[float], bool]) -> float:
+def largest_multiple(holds: Callable[[float], bool], *, holds_one: bool) -> float:
     """Find the largest multiple that holds, to 9 % below, at most `LARGEST`.
 
     Args:
+        holds: Tries a multiple.
         holds_one: Whether the load itself holds; it is not tried again, so that a margin of at
             least 1 and success are the same statement.
-        holds: Tries a multiple.
     """
     low = high = 1.0
     if holds_one:

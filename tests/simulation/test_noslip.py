@@ -51,7 +51,7 @@ def forces_of_both(scene, iterations=2):
         mujoco.mj_forward(model, data)
         plain = data.qfrc_constraint.copy()
         if ours:
-            scene.noslip.correct()
+            scene.noslip.correct(iterations)
             assert np.abs(data.qfrc_constraint - plain).max() > 1e-9 * np.abs(plain).max()
         found.append(data.qfrc_constraint.copy())
     model.opt.noslip_iterations = iterations
@@ -121,6 +121,24 @@ def test_options_of_the_model_are_as_before(hands):
     scene = squeezed(hands)
     scene.step(3)
     assert scene.model.opt.noslip_iterations == SETTINGS.noslip_iterations > 0
+
+
+def test_to_ask_whether_the_pass_applies_changes_nothing(hands):
+    """A number of passes set between two steps counts, whether or not anybody asked before."""
+    asked, silent = squeezed(hands), squeezed(hands)
+    for scene in (asked, silent):
+        scene.step(60)
+        before = scene.model.opt.noslip_iterations
+        scene.model.opt.noslip_iterations = 5
+        if scene is asked:
+            assert scene.noslip.applies()
+            scene.model.opt.noslip_iterations = 0
+            assert not scene.noslip.applies()
+            scene.model.opt.noslip_iterations = 5
+        scene.noslip.step(20)
+        assert scene.model.opt.noslip_iterations == 5 != before
+    assert asked.data.ncon > 0
+    np.testing.assert_array_equal(asked.data.qpos, silent.data.qpos)
 
 
 def test_a_state_that_is_no_number_is_noticed_as_by_the_engine(hands):

@@ -24,16 +24,16 @@ def test_the_margin_is_just_below_the_truth(truth):
         tried.append(multiple)
         return multiple <= truth
 
-    found = largest_multiple(truth >= 1.0, holds)
+    found = largest_multiple(holds, holds_one=truth >= 1.0)
     assert found <= truth < found * RATIO * (1 + 1e-9)
     assert (found >= 1.0) == (truth >= 1.0)
     assert 1.0 not in tried  # the verdict itself already says that
 
 
 def test_beyond_its_range_the_margin_is_an_end_of_it():
-    assert largest_multiple(True, lambda m: True) == LARGEST
-    assert largest_multiple(False, lambda m: False) == 0.0
-    assert largest_multiple(False, lambda m: m <= SMALLEST) >= SMALLEST
+    assert largest_multiple(lambda m: True, holds_one=True) == LARGEST
+    assert largest_multiple(lambda m: False, holds_one=False) == 0.0
+    assert largest_multiple(lambda m: m <= SMALLEST, holds_one=False) >= SMALLEST
 
 
 def test_heavier_objects_have_margins_in_proportion(hands):
