@@ -152,18 +152,19 @@ def _row(run: Run, grasp_id: str, protocol: str, test: str) -> tuple[GraspBatch,
     raise NotUsable(f"{run.path} has no grasp {grasp_id}; `bidexdata table` lists its grasps")
 
 
-def _keep(moments: list[Moment]) -> Callable[[str, SimScene], None]:
+def _keep(moments: list[Moment]) -> Callable[[str, float, SimScene], None]:
     """A watch that keeps one moment per picture of the video."""
     from bidexdata.pictures.simulated import read_simulated_pose
 
-    last = [0.0, 0.0, ""]  # time of the scene at the last look, of the film, phase
+    known, began, film = "", 0.0, 0.0  # the phase, when it began in the film, the last look
 
-    def watch(phase: str, scene: SimScene) -> None:
-        now, (before, film, known) = float(scene.data.time), last
+    def watch(phase: str, lasted: float, scene: SimScene) -> None:
+        nonlocal known, began, film
         new = phase != known
-        film += now - before if now > before else scene.model.opt.timestep * 10
-        last[:] = now, film, phase
-        if new or not moments or film - moments[-1].time > 1 / FPS - 1e-6:
+        if new:
+            known, began = phase, film
+        film = began + lasted
+        if new or film - moments[-1].time > 1 / FPS - 1e-6:
             moments.append(Moment(film, phase, read_simulated_pose(scene)))
 
     return watch

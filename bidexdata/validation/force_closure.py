@@ -114,4 +114,4 @@ def _load(grasp: Grasp, name: str) -> NDArray[np.float64]:
 
 
 def _named(watch: Watch, phase: str) -> Watch:
-    return lambda _, scene: watch(phase, scene)
+    return lambda _, lasted, scene: watch(phase, lasted, scene)

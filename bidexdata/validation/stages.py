@@ -24,8 +24,11 @@ from .rest import LIFT_RULES, Grip, RestRules, rests
 
 FloatArray = NDArray[np.float64]
 
-Watch = Callable[[str, SimScene], None]
-"""Looks at the scene after every few steps; gets the name of the phase. Must not change it."""
+Watch = Callable[[str, float, SimScene], None]
+"""Looks at the scene after every few steps; gets the name of the phase and the simulated time since
+it began [s]. Must not change the scene. That it looks changes no step and no check."""
+WATCH_STEPS = 10
+"""Steps between two looks of a `Watch`, fewer where a check comes sooner."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,10 +126,11 @@ def close_hands(
     watch: Watch | None = None,
 ) -> None:
     """Go from pre-grasp over grasp to squeeze from the scene's present state."""
+    looks = _Looks("closing", watch)
     for pos, quat, ctrl in zip(*closing_path(scene, protocol, grasp), strict=True):
         scene.data.ctrl[:] = ctrl
         set_targets(scene, pos, quat)
-        if not _advance(scene, protocol, protocol.segment_steps, execution, "closing", watch):
+        if not _advance(scene, protocol, protocol.segment_steps, execution, looks):
             return
 
 
@@ -136,7 +140,8 @@ def wait_for_load(
     """Hold the squeeze until the loads of test f begin."""
     if protocol.load_after is not None:
         steps = round(protocol.load_after / scene.model.opt.timestep)
-        _advance(scene, protocol, steps, execution, "closing", watch)
+        closed = 2 * protocol.segment_changes * protocol.segment_steps
+        _advance(scene, protocol, steps, execution, _Looks("closing", watch, closed))
 
 
 def lift_hands(
@@ -147,24 +152,34 @@ def lift_hands(
     watch: Watch | None = None,
 ) -> None:
     """Raise the hands' targets from the squeeze; controls of the fingers stay."""
+    looks = _Looks("lift", watch)
     for pos in lift_path(protocol, grasp):
         set_targets(scene, pos, grasp.hand_quat[:, 2])
-        if not _advance(scene, protocol, protocol.lift.steps, execution, "lift", watch):
+        if not _advance(scene, protocol, protocol.lift.steps, execution, looks):
             return
 
 
+@dataclass(slots=True)
+class _Looks:
+    """A watch in one phase, which may be none, and how many steps of the phase are done."""
+
+    phase: str
+    watch: Watch | None
+    done: int = 0
+
+
 def _advance(
-    scene: SimScene,
-    protocol: Protocol,
-    steps: int,
-    execution: Execution,
-    phase: str,
-    watch: Watch | None,
+    scene: SimScene, protocol: Protocol, steps: int, execution: Execution, looks: _Looks
 ) -> bool:
-    """Step; whether the simulation is still sane."""
-    scene.step(steps, plain=execution.plain)
-    if watch is not None:
-        watch(phase, scene)
+    """Step; whether the simulation is still sane at the end."""
+    end = looks.done + steps
+    while looks.done < end:
+        left = end - looks.done
+        chunk = left if looks.watch is None else min(left, WATCH_STEPS)
+        scene.step(chunk, plain=execution.plain)
+        looks.done += chunk
+        if looks.watch is not None:
+            looks.watch(looks.phase, looks.done * scene.model.opt.timestep, scene)
     return instability(scene, protocol) is None
 
 
@@ -197,13 +212,12 @@ def hold(
     first = round(rules.start / timestep)
     per_check = protocol.steps_per_check
     largest = [0.0, 0.0]
+    looks = _Looks("hold", watch)
     step = 0
     while step < checks * per_check:
         to_check = per_check - step % per_check
         chunk = min(to_check, look - step % look) if stops else to_check
-        if watch is not None:
-            chunk = min(chunk, WATCH_STEPS)
-        sane = _advance(scene, protocol, chunk, execution, "hold", watch)
+        sane = _advance(scene, protocol, chunk, execution, looks)
         step += chunk
         is_check = step % per_check == 0
         may_stop = stops and step % look == 0 and step >= first
@@ -222,7 +236,3 @@ def hold(
                 largest = [np.fmax(largest[0], moved), np.fmax(largest[1], turned)]
                 return Phase(Status.OK, float(largest[0]), float(largest[1]), step * timestep)
     return Phase(Status.OK, float(largest[0]), float(largest[1]), checks * protocol.check_every)
-
-
-WATCH_STEPS = 10
-"""Steps between two looks of a `Watch` while holding."""

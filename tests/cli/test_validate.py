@@ -257,6 +257,24 @@ def test_a_replay_gives_the_verdict_of_the_run_and_films_it(
     assert f"{frames} of {frames} pictures (100 %)" in told.err
 
 
+def test_moments_of_a_replay_follow_each_other_as_they_were_simulated(floating, monkeypatch):
+    """Every load begins where the one before ended, and is first seen after its first steps."""
+    monkeypatch.setattr(replay, "FPS", 1e6)  # every look is kept
+    paper, opened = load_protocol("paper-1"), Run.open(floating)
+    batch = next(iter(opened.batches("paper-1", "f")))
+    row = int(np.flatnonzero(batch.success)[0])
+    moments = replay.replay_grasp(opened, str(batch.grasp_id[row]), paper, "f").moments
+    times = np.array([m.time for m in moments])
+    loads = [m.phase for m in moments]
+    first = [k for k in range(1, len(loads)) if loads[k] != loads[k - 1]]
+    assert len(first) == len(paper.directions)
+    steps = np.diff(times) / paper.scene.timestep
+    np.testing.assert_allclose(steps, steps.round(), atol=1e-6)
+    assert times[first[0] - 1] == pytest.approx(paper.closing_time)
+    # The first look of a load is that of the rule of rest, 0.02 s after it has begun.
+    np.testing.assert_allclose(steps[np.array(first) - 1], 5, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("words", "code", "says"),
     [

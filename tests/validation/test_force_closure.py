@@ -16,7 +16,7 @@ from bidexdata.record.status import TestStage
 from bidexdata.simulation.distances import measure_distances
 from bidexdata.simulation.scene import build_scene
 from bidexdata.simulation.state import object_pose, set_pose
-from bidexdata.validation import Execution, load_protocol, validate_grasps
+from bidexdata.validation import Execution, load_protocol, stages, validate_grasps
 from bidexdata.validation.checks import instability, reference
 from bidexdata.validation.force_closure import force_closure
 from bidexdata.validation.loads import clear_load, set_load
@@ -221,10 +221,46 @@ def test_loads_begin_as_late_as_the_protocol_says(hands):
         rules = replace(PAPER, load_after=after)
         force_closure(
             *(scene, rules, grasp_of(batch_of(hands, [squeeze(hands)]), 0), PLAIN),
-            watch=lambda phase, s, times=times: times.append((phase, s.data.time)),
+            watch=lambda phase, lasted, s, times=times: times.append((phase, lasted)),
         )
         seen[after] = max(t for phase, t in times if phase == "closing")
+    assert seen[None] == pytest.approx(PAPER.closing_time)
     assert seen[0.2] - seen[None] == pytest.approx(0.2)
+
+
+def test_a_watch_hears_how_long_each_load_has_lasted(hands):
+    scene, heard = build_scene(hands, BOX, 0.3, PAPER.scene), {}
+
+    def watch(phase, lasted, s):
+        heard.setdefault(phase, []).append((lasted, s.data.time))
+
+    grasp = grasp_of(batch_of(hands, [squeeze(hands)]), 0)
+    assert force_closure(scene, PAPER, grasp, Execution(), watch).status is Status.OK
+    assert list(heard) == ["closing", *(f"load {name}" for name in PAPER.directions)]
+    for phase, looks in heard.items():
+        lasted, clock = np.array(looks).T
+        began = 0.0 if phase == "closing" else PAPER.closing_time  # of the copied state
+        np.testing.assert_allclose(lasted, clock - began, atol=1e-9)
+
+
+@pytest.mark.parametrize("plain", [True, False])
+def test_who_looks_on_moves_no_check(hands, plain, monkeypatch):
+    """The simulation is looked at for signs of breaking at the same instants, watched or not."""
+    looked = []
+
+    def noted(scene, protocol):
+        looked.append(float(scene.data.time))
+        return instability(scene, protocol)
+
+    monkeypatch.setattr(stages, "instability", noted)
+    rules = replace(PAPER, hold=0.5, directions=("+x",), load_after=0.1)
+    grasp = grasp_of(batch_of(hands, [squeeze(hands)]), 0)
+    scene, found = build_scene(hands, BOX, 0.3, rules.scene), []
+    for watch in (None, lambda phase, lasted, s: None):
+        looked.clear()
+        verdict = force_closure(scene, rules, grasp, Execution(plain=plain), watch)
+        found.append((verdict._replace(load_margin=0.0), list(looked)))
+    assert found[0] == found[1]
 
 
 def test_a_speed_that_is_no_number_is_unstable(hands):

@@ -51,7 +51,7 @@ def test_the_object_rises_by_the_way_of_the_hands(hands):
         PAPER,
         grasp,
         Execution(),
-        lambda phase, s: heights.append((phase, object_pose(s)[0][2])),
+        lambda phase, _, s: heights.append((phase, object_pose(s)[0][2])),
     )
     assert seen.status is Status.OK
     closing, up = ([h for p, h in heights if p == phase] for phase in ("closing", "lift"))
