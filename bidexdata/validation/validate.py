@@ -62,7 +62,8 @@ def validate_grasps(
         hands: The hands in the order of the header's.
         protocol: The settings.
         test: Which of the protocol's tests.
-        execution: Early ends, whose noslip pass, and what is measured besides; on when omitted.
+        execution: Early ends and whose noslip pass, both on when omitted, and what is measured
+            besides: then nothing.
         backend: The engine that judges: `mujoco`, or `mujoco_warp` for GPUs.
         device: Warp device of `mujoco_warp`, such as `cuda:0`; its `cpu` is for trying it out.
 

@@ -55,7 +55,7 @@ def warp_verdicts(
         grasps: In any number.
         test: f or l.
         device: Warp device.
-        execution: Early ends, and what is measured besides; on when omitted.
+        execution: Early ends, on when omitted.
         most_worlds: Bound of the worlds that step together; changes no verdict.
 
     Returns:
