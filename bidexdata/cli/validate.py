@@ -33,7 +33,7 @@ def validate(
         str, typer.Option(help="`bidexdata protocols` lists them; a YAML file of your own works.")
     ] = "paper-1",
     tests: Annotated[
-        str, typer.Option(help="f, l, a separated by commas; by default what the rows allow.")
+        str, typer.Option(help="f, l or both, separated by commas; by default what the rows allow.")
     ] = "",
     out: Annotated[
         Path | None,
@@ -128,7 +128,7 @@ def validate(
     device = device or ("cuda:0" if backend == "mujoco_warp" else "cpu")
     rules = on_backend(rules, backend, device)  # before anything is written
     _validate(
-        *(_run_of(path, out), rules, named, execution, extras, device),
+        *(_run_of(path, out, rules, named), rules, named, execution, extras, device),
         as_json=as_json,
         quiet=quiet,
     )
@@ -146,16 +146,21 @@ def _require_watchable(given: Mapping[str, bool]) -> None:
         )
 
 
-def _run_of(path: Path, out: Path | None) -> Run:
-    """The run to test: the one at `path`, or one that holds the rows of a release."""
+def _run_of(path: Path, out: Path | None, rules: Protocol, tests: Sequence[str]) -> Run:
+    """The run to test: the one at `path`, or one that holds the rows of a release.
+
+    No rows are copied for tests that they do not allow.
+    """
     from bidexdata.errors import NotUsable
     from bidexdata.kinds import expect_kind
-    from bidexdata.runs.retest import start_retest
+    from bidexdata.runs.retest import planned_retest, start_retest
     from bidexdata.runs.run import Run
+    from bidexdata.runs.validate import allowed_tests
 
     if expect_kind(path, "run", "release") == "release":
         if out is None:
             raise NotUsable(f"{path} is a release and never changed; name a run with --out RUN2")
+        allowed_tests(planned_retest(path, out), rules, tests)
         return start_retest(path, out)
     if out is not None:
         raise NotUsable(f"--out is for releases; the verdicts of {path} are stored in it")

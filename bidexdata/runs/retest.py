@@ -61,6 +61,13 @@ def start_retest(release_path: str | Path, out: str | Path) -> Run:
     return run
 
 
+def planned_retest(release_path: str | Path, out: str | Path) -> Run:
+    """The run that `start_retest` would make; nothing is written."""
+    from bidexdata.formats.release import Release
+
+    return Run(Path(out), _spec(Release.open(release_path), Path(out)))
+
+
 def _spec(release: Release, out: Path) -> RunSpec:
     sizes = release.index("selected", columns=["size_mm"]).column("size_mm").unique().to_pylist()
     return RunSpec(

@@ -67,7 +67,8 @@ def validate_run(
         protocol: Settings of the tests.
         tests: Names of tests; what the rows allow when empty.
         execution: Where and how.
-        extras: What else to do; tasks that were tested without are tested again.
+        extras: What else to do; tasks that were tested without are tested again, with what they
+            had.
         backend: The engine that judges, `mujoco` or `mujoco_warp`.
         device: Warp device of `mujoco_warp`.
 
@@ -129,10 +130,20 @@ def _for_one_device(execution: TaskExecution) -> TaskExecution:
 
 
 def allowed_tests(run: Run, protocol: Protocol, asked: Sequence[str]) -> tuple[str, ...]:
-    """Tests to run: those asked for, or all that the protocol defines and the rows allow."""
+    """Tests to run: those asked for, or all that the protocol defines and the rows allow.
+
+    Raises:
+        NotUsable: The protocol does not define one that is asked for, the rows do not allow it, or
+            they allow none.
+    """
     from bidexdata.validation.protocols import require_test
 
     here = [t for t in protocol.tests if t not in ON_TABLE or run.spec.setting == "tabletop"]
+    if not here:
+        raise NotUsable(
+            f"protocol {protocol.name!r} has no test for {run.spec.setting} rows, which are all "
+            f"that {run.path} has; it has: {', '.join(protocol.tests)}"
+        )
     if not asked:
         return tuple(here)
     for test in asked:
@@ -171,13 +182,11 @@ def _run_test(
     mark = verdict_fingerprint(run, protocol, test)
     sweep([folder])
     done = done_tasks(folder)
-    measured: set[Extra] = set(extras)
     for task in tasks:
         if task.task_id in done:
             has = _extras_of(shard_path(folder, task.task_id), mark)
             if not has >= set(extras):
                 done.remove(task.task_id)
-                measured |= has  # what was measured once is not lost
     return run_stage(
         tasks,
         done,
@@ -187,7 +196,7 @@ def _run_test(
             run.fingerprint,
             to_plain(protocol),
             test,
-            tuple(sorted(measured)),
+            extras,
             device,
         ),
         unit="task",
@@ -197,6 +206,11 @@ def _run_test(
 
 
 def _extras_of(path: Path, mark: str) -> set[Extra]:
+    """What a shard was made with.
+
+    Raises:
+        ConfigConflict: Another run, or other settings, made it.
+    """
     try:
         check_mark(path, mark)
     except ConfigConflict as err:
@@ -221,6 +235,11 @@ def _validate_task(
     log_to(run.path / "logs")
     start = time.monotonic()
     protocol = from_plain(Protocol, protocol_data)
+    path = shard_path(run.stage_folder("validate", protocol.name, test), task.task_id)
+    mark = verdict_fingerprint(run, protocol, test)
+    # What was measured once is not lost: a task is done again with what its own shard has.
+    had = _extras_of(path, mark) if path.is_file() else set()
+    extras = tuple(sorted({*extras, *had}))
     how = _how(extras)
     batch = run.task_batch(task)
     columns = validate_grasps(
@@ -234,13 +253,11 @@ def _validate_task(
         device=device,
     )
     verdicts = verdict_batch(batch.header, batch["grasp_id"], columns)
-    path = shard_path(run.stage_folder("validate", protocol.name, test), task.task_id)
     notes = {"extras": list(extras), "execution": to_plain(how)}
     if protocol.backend != "mujoco":  # its rule is another
         from bidexdata.validation.warp_checks import REST
 
         notes["execution"]["rest"] = notes["execution"]["lift_rest"] = to_plain(REST)
-    mark = verdict_fingerprint(run, protocol, test)
     write_shard(path, verdicts.to_arrow(), mark, device=device, notes=notes)
     labels = [Status(int(s)).label for s in columns["verdict_status"]]
     seconds = time.monotonic() - start

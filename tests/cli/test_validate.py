@@ -199,6 +199,21 @@ def test_extra_columns_are_measured_once_asked_for_and_never_lost(library):
     assert path.read_bytes() == before
 
 
+def test_every_task_is_done_again_with_what_it_had_itself(tmp_path):
+    library, folder = tmp_path / "library", tmp_path / "run"
+    sources = ["shapes:box/1", "shapes:cylinder/1"]
+    assert run(["prepare", *sources, "--out", str(library), *INLINE]) == 0
+    assert run(["synth", str(library), "--out", str(folder), *SMALL]) in (0, 6)
+    validate = ["validate", str(folder), "--set", "name=brief-3", "--set", "hold=0.1", *INLINE]
+    assert run([*validate, "--plain", "--shard", "0/2"]) in (0, 6)
+    assert run([*validate, "--analytic"]) in (0, 6)
+    opened = Run.open(folder)
+    place = opened.stage_folder("validate", "brief-3", "f")
+    notes = [read_mark(shard_path(place, t.task_id)).notes for t in opened.tasks]
+    assert sorted(n["extras"] for n in notes) == [["analytic"], ["analytic", "plain"]]
+    assert [n["execution"]["plain"] for n in notes] == ["plain" in n["extras"] for n in notes]
+
+
 def test_tabletop_rows_are_tested_for_closure_and_lift(tabletop):
     opened = Run.open(tabletop)
     assert opened.verdict_tests() == [("paper-1", "f"), ("paper-1", "l")]
@@ -234,6 +249,36 @@ def test_a_release_of_tabletop_grasps_can_be_lifted_again(tabletop, tmp_path, ca
 def test_a_lift_of_a_floating_object_is_refused(floating, capsys):
     assert run(["validate", str(floating), "--tests", "l", *INLINE]) == 3
     assert "floating rows" in capsys.readouterr().err
+
+
+LIFTS = "base: paper-1\nname: lifts-1\ndescription: the lift alone\ntests: [l]\n"
+
+
+@pytest.mark.parametrize("replayed", [False, True])
+def test_a_protocol_without_a_test_for_the_rows_is_one_sentence(
+    floating, tmp_path, capsys, replayed
+):
+    (tmp_path / "lifts.yaml").write_text(LIFTS)
+    batch = next(iter(Run.open(floating).batches()))
+    more = ["--replay", str(batch.grasp_id[0])] if replayed else INLINE
+    assert run(["validate", str(floating), "--protocol", str(tmp_path / "lifts.yaml"), *more]) == 3
+    error = capsys.readouterr().err
+    assert "protocol 'lifts-1' has no test for floating rows" in error
+    assert error.count("\n") == 1
+    assert not (floating / "validate" / "lifts-1").exists()
+
+
+def test_no_rows_of_a_release_are_copied_for_a_test_that_they_do_not_allow(
+    floating, tmp_path, capsys
+):
+    release, again = tmp_path / "release", tmp_path / "again"
+    named = ("--name", "x", "--version", "1.0.0", "--quiet")
+    assert run(["pack", str(floating), "--out", str(release), *named]) == 0
+    for words in (["--tests", "l"], ["--protocol", str(tmp_path / "lifts.yaml")]):
+        (tmp_path / "lifts.yaml").write_text(LIFTS)
+        assert run(["validate", str(release), "--out", str(again), *words, *INLINE]) == 3
+        assert "floating rows" in capsys.readouterr().err
+        assert not again.exists()
 
 
 def test_a_replay_gives_the_verdict_of_the_run_and_films_it(
