@@ -11,7 +11,7 @@ from bidexdata.wording import counted, share
 KEPT_MEANS = "kept = selected grasps / grasps wanted"
 LEGEND = (
     f"{KEPT_MEANS}; selected = passed / kept grasps; unselected = passed / attempts drawn before "
-    "any filter; PD, SPD = deepest overlap hand-object, within and between hands; "
+    "any filter; object success = scenes with a selected grasp that passed; PD, SPD = deepest overlap hand-object, within and between hands; "
     "CDC = range of finger-object distances; D = share of the grasps' variance in one direction, "
     "small is diverse"
 )
@@ -59,6 +59,8 @@ def figure_lines(
         if figures["kept"] is not None:
             rates += f" with {share(figures['kept'])} kept"
             rates += f"; unselected {percent(found['unselected'])}"
+        if "object_success" in found:  # releases packed before do not state it
+            rates += f"; object success {percent(found['object_success'])}"
         lines += [
             f"test {test} of {protocol}: {rates}",
             f"verdicts: {counts_text(found['by_verdict'])}",
@@ -66,7 +68,7 @@ def figure_lines(
     if tested:
         lines.append(
             f"means over selected: {_lengths(figures)}; "
-            f"D {share(figures['d'])} (scale-free {share(figures['d_scale_free'])})"
+            f"D {share(figures['d'])} (scale-free {share(figures['d_scale_free'])}{_of_audit(figures)})"
         )
     else:
         kept = figures["kept"]
@@ -75,6 +77,12 @@ def figure_lines(
     legend = LEGEND if tested else KEPT_MEANS
     known = figures["kept"] is not None
     return [*lines, *_by_size(figures, list(tested)), *([legend] if known else [])]
+
+
+def _of_audit(figures: Mapping[str, Any]) -> str:
+    """`, audit rows 31.0 %`; empty where there are none, or a release of before does not say."""
+    d = figures.get("d_audit")
+    return "" if d is None else f", audit rows {share(d)}"
 
 
 def attempt_lines(by_size: Mapping[str, Any]) -> list[str]:

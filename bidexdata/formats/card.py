@@ -67,6 +67,7 @@ def _values(root: Path, head: Mapping[str, Any]) -> dict[str, Any]:
         "metrics": _metrics(figures),
         "diversity": _share(figures["d"]),
         "diversity_scale_free": _share(figures["d_scale_free"]),
+        "diversity_audit": _share(figures["d_audit"]),
         "metrics_by_verdict": _metrics_by_verdict(figures),
         "by_size": _by_size(figures),
         "by_status": _counts(figures["by_status"], "status", "attempts"),
@@ -83,6 +84,7 @@ def _rates(figures: Mapping[str, Any]) -> str:
     for test, rates in figures["tests"].items():
         for kind in ("unselected", "selected"):
             rows.append((f"{kind.capitalize()} SUC-{test.upper()}", rate_text(rates[kind])))
+        rows.append((f"Object success, test `{test}`", rate_text(rates["object_success"])))
     rows.append(("Kept", _share(figures["kept"])))
     rows.append(("Rows stored", str(figures["n"])))
     rows.append(("Selected rows", str(figures["selected_rows"])))

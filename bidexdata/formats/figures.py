@@ -3,8 +3,9 @@
 Definitions. N = grasps to keep per scene. *Unselected rate* = successes / N over the audit rows:
 every status other than OK is a failure, and a scene that could not fill its audit rows counts the
 missing ones as failures. *Selected rate* = successes / selected rows. *Kept share* = selected rows
-/ (N x scenes); a scene of two runs counts twice here, and once among `scenes`. Rates count only rows
-of runs that were tested. Metrics are means over selected rows where they were measured; `pd`,
+/ (N x scenes); a scene of two runs counts twice here, and once among `scenes`. *Object success* =
+scenes with a selected row that passed / scenes with a selected row. Rates count only rows of runs
+that were tested. Metrics are means over selected rows where they were measured; `pd`,
 `spd` and `cdc` are those of the first test that was run (they do not depend on the test).
 """
 
@@ -29,7 +30,7 @@ from bidexdata.wording import counted
 class Tally:
     """Add batches of any size, then read `figures()`.
 
-    State: counts per (test, size, object), statuses, moments of metrics; nothing per grasp.
+    State: counts per (test, size, object), scenes, statuses, moments of metrics; nothing per grasp.
     """
 
     def __init__(self, tests: tuple[str, ...] = ("f",)):
@@ -43,7 +44,12 @@ class Tally:
         self._trials: dict[tuple[str, str, int], dict[str, list[int]]] = defaultdict(dict)
         self._kept: dict[int, list[int]] = defaultdict(lambda: [0, 0])
         self._groups = {t: GroupTally() for t in tests}
+        # test -> object -> scene -> whether a selected row passed
+        self._won: dict[str, dict[str, dict[str, bool]]] = {
+            t: defaultdict(lambda: defaultdict(bool)) for t in tests
+        }
         self._diversity: dict[int | None, DiversityTally] = defaultdict(DiversityTally)
+        self._audit_diversity: dict[int | None, DiversityTally] = defaultdict(DiversityTally)
 
     def add(
         self,
@@ -68,8 +74,10 @@ class Tally:
         touched, new = self._note_scenes(batch, run)
         self._kept_of.update(np.unique(batch["scene_id"][selected]).tolist())
         self._diversity[None].add(batch, selected)
+        self._audit_diversity[None].add(batch, audit)
         for size in sorted(set(touched.values())):
             self._diversity[size].add(batch, selected & (batch["size_mm"] == size))
+            self._audit_diversity[size].add(batch, audit & (batch["size_mm"] == size))
             if grasps is not None:
                 self._kept[size][0] += _number(selected & (batch["size_mm"] == size))
                 self._kept[size][1] += grasps * sum(1 for s in new if touched[s] == size)
@@ -83,11 +91,16 @@ class Tally:
         for test in self.tests:
             if test in verdicts:
                 self._verdicts[test].update(_labels(verdicts[test]["verdict_status"]))
+                passed = _passed(batch, verdicts[test])[selected]
+                chosen = batch["scene_id"][selected]
+                winners = set(chosen[passed].tolist())
+                for scene in np.unique(chosen).tolist():
+                    self._won[test][scene_parts(scene).object_id][scene] |= scene in winners
                 self._groups[test].add(
                     batch["object_id"][selected],
                     batch["size_mm"][selected],
                     hands_label(batch.header),
-                    _passed(batch, verdicts[test])[selected],
+                    passed,
                     {name: column[selected] for name, column in verdicts[test].items()},
                 )
 
@@ -119,6 +132,7 @@ class Tally:
             out["tests"][test] = {
                 "selected": selected.to_dict(),
                 "unselected": unselected.to_dict(),
+                "object_success": self._object_success(test).to_dict(),
                 "by_verdict": dict(sorted(self._verdicts[test].items())),
                 "metrics": metrics[test],
                 "groups": groups[test],
@@ -189,9 +203,14 @@ class Tally:
 
     def _spread(self, size: int | None) -> dict[str, float | None]:
         found = self._diversity[size].value()
-        named = {"d": found.d, "d_scale_free": found.scale_free}
+        of_audit = self._audit_diversity[size].value()
+        named = {"d": found.d, "d_scale_free": found.scale_free, "d_audit": of_audit.d}
         # The order in which batches come changes the last digits of sums, and must not show.
         return {k: round(float(v), 6) if np.isfinite(v) else None for k, v in named.items()}
+
+    def _object_success(self, test: str) -> Rate:
+        won = [self._won[test][obj].values() for obj in sorted(self._won[test])]
+        return clustered_interval([sum(scenes) for scenes in won], [len(scenes) for scenes in won])
 
     def _rate(self, kind: str, test: str, sizes: list[int]) -> Rate:
         objects: dict[str, list[int]] = {}

@@ -1,3 +1,4 @@
+import copy
 import re
 from dataclasses import replace
 
@@ -6,6 +7,8 @@ import pytest
 import yaml
 from made_release import OBJECTS, made_object, made_release
 
+from bidexdata.cli.figures import figure_lines
+from bidexdata.cli.report import percent
 from bidexdata.formats.card import rate_text
 from bidexdata.formats.figures import size_text
 from bidexdata.formats.metric_text import metric_text
@@ -13,6 +16,7 @@ from bidexdata.formats.release import Release
 from bidexdata.objects.sources.item import UNKNOWN
 from bidexdata.record import Status
 from bidexdata.record.rates import clustered_interval, rate_interval
+from bidexdata.wording import share
 
 
 def front_matter(readme: str) -> dict:
@@ -33,6 +37,29 @@ def test_the_card_states_the_rates_of_the_rows(packed):
     unselected = rate_of(release.grasps(configuration="audit"))
     assert f"| Unselected SUC-F | {unselected}, {unselected.method} |" in card
     assert f"| {len(batch)} |" in card
+
+
+def test_card_and_info_state_object_success_and_the_d_of_audit_rows(packed):
+    release = Release.open(packed)
+    batch, figures = release.grasps(), release.figures
+    scenes = np.unique(batch["scene_id"])
+    won = np.isin(scenes, batch["scene_id"][batch["success"]])
+    stated = figures["tests"]["f"]["object_success"]
+    assert (stated["k"], stated["n"]) == (won.sum(), len(scenes))
+    card = (packed / "DATASET_CARD.md").read_text()
+    assert f"| Object success, test `f` | {rate_text(stated)} |" in card
+    assert f"of the audit\nrows: {share(figures['d_audit'])}." in card
+    said = "\n".join(figure_lines(figures, "paper-1"))
+    assert f"; object success {percent(stated)}" in said
+    assert f", audit rows {share(figures['d_audit'])})" in said
+
+
+def test_figures_of_a_release_packed_before_are_shown_without_what_they_lack(packed):
+    figures = copy.deepcopy(Release.open(packed).figures)
+    del figures["d_audit"], figures["tests"]["f"]["object_success"]
+    said = "\n".join(figure_lines(figures, "paper-1")[:-1])
+    assert "object success" not in said
+    assert "audit rows)" not in said.split("means over selected")[1]
 
 
 def test_the_card_states_the_means_of_the_rows_with_their_intervals(packed):

@@ -7,10 +7,11 @@ import pytest
 from made_release import made_hands
 
 from bidexdata.formats.diversity import DiversityTally, grasp_vectors
+from bidexdata.formats.figures import Tally
 from bidexdata.formats.importers.dexgraspbench import ROOT_TO_PALM
 from bidexdata.frames import quat_from_rotation_vector, quat_multiply, quat_rotate, random_quat
 from bidexdata.hands import load_hand
-from bidexdata.record import GraspBatch, Header
+from bidexdata.record import GraspBatch, Header, Status
 
 HANDS = tuple(h.header() for h in made_hands())
 J = max(len(h.joint_names) for h in HANDS)
@@ -99,6 +100,27 @@ def test_rows_that_are_no_pose_are_left_out():
     for row, wrong in enumerate((0.0, np.nan, np.inf)):
         bad.hand_quat_wxyz[row, 0, 1] = wrong
     assert value(good, bad) == value(good)
+
+
+def test_figures_have_the_d_of_audit_rows_beside_that_of_selected_ones():
+    """Selected grasps differ along one line, the attempts that they are of along two."""
+    line = np.linspace(-1, 1, 4)[:, None] * [0.1, 0.0, 0.0]
+    square = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]]) * 0.1
+    poses = batch(8, offsets=np.concatenate([line, square]))
+    selected = np.arange(8) < 4
+    rows = {
+        "scene_id": np.array(["box-1/300/float"] * 8),
+        "object_id": np.array(["box-1"] * 8),
+        "size_mm": np.full(8, 300, np.int32),
+        "synth_status": np.full(8, Status.OK, np.int8),
+        "selected": selected,
+        "audit": ~selected,
+    }
+    tally = Tally()
+    tally.add(GraspBatch(poses.header, {**poses.columns, **rows}))
+    for found in (tally.figures(), tally.figures()["by_size"]["300"]):
+        assert found["d"] == pytest.approx(1.0, abs=1e-5)
+        assert found["d_audit"] == pytest.approx(0.5, abs=1e-5)
 
 
 def test_the_d_of_a_peer_s_grasps_is_the_peer_s_from_its_own_root(shared):

@@ -52,6 +52,22 @@ def test_a_scene_is_without_grasp_until_some_batch_has_a_selected_row_of_it():
     assert tally.without_grasp() == [A]
 
 
+def test_a_scene_is_a_success_when_one_selected_row_of_it_is():
+    other = "cup-1/300/float"
+    tally = Tally()
+    for good in (False, True):  # scene A loses in one batch and wins in the next
+        tally.add(batch([(A, True, False, Status.OK)] * 2), verdicts([False, good]), run="r")
+    tally.add(
+        batch([(B, True, False, Status.OK), (B, False, True, Status.OK)]), verdicts([False, True])
+    )
+    tally.add(batch([(other, True, False, Status.OK)] * 3), verdicts([True, True, False]))
+    tally.add(batch([("mug-1/300/float", True, False, Status.OK)]))  # not tested
+    found = tally.figures()["tests"]["f"]
+    assert (found["object_success"]["k"], found["object_success"]["n"]) == (2, 3)
+    assert found["object_success"]["rate"] == pytest.approx(2 / 3)
+    assert (found["selected"]["k"], found["selected"]["n"]) == (3, 8)
+
+
 def test_rates_and_kept_share_by_hand():
     rows = [
         (A, True, False, Status.OK),
