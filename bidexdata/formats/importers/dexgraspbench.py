@@ -1,9 +1,10 @@
-"""DexGraspBench (JYChen18/DexGraspBench, also BODex): one pickled dictionary per file.
+"""Grasps in the format of DexGraspBench (JYChen18/DexGraspBench): one pickled dictionary per file.
 
 A file holds one grasp (29,) or several (N, 29) of the right Shadow hand: `pregrasp_qpos`,
 `grasp_qpos`, `squeeze_qpos` = x y z, qw qx qy qz of the hand's root, 22 joints; `obj_pose`,
 `obj_scale` (metres per unit of the object's meshes), `obj_path`. An object is a folder with
-`urdf/meshes/*.obj` (convex pieces), `mesh/simplified.obj` and `info/simplified.json`.
+`urdf/meshes/*.obj` (convex pieces), `mesh/simplified.obj` and `info/simplified.json`. What BODex
+itself writes is another format: its grasps come in after its own conversion to the benchmark's.
 
 The benchmark's simulator weighs an object piece by piece, so volume, centre of mass and inertia
 here are sums over the pieces, overlaps counted twice; what it calls mass refers to the volume of
@@ -238,7 +239,7 @@ def _nominal_volume(source: ObjectSource, warnings: list[str]) -> float | None:
 
 FORMAT = Format(
     name="dexgraspbench",
-    description="DexGraspBench and BODex: graspdata/**/*.npy, right Shadow hand",
+    description="DexGraspBench's own format: graspdata/**/*.npy, right Shadow hand",
     sides=("right",),
     joint_names=(JOINT_NAMES,),
     files=files,
