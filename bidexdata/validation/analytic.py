@@ -1,10 +1,14 @@
 """Analytic qualities of the fingertip contacts at the grasp: Q1, and a QP that OSQP certifies.
 
 Contacts are those of DexGraspBench: the tip body of every finger within 5 mm of the object, all
-its contacts averaged to one point and one normal, friction halved. No contact gives no quality.
+its contacts averaged to one point and one normal, friction halved. A tip whose normals cancel
+is left out. No contact gives no quality.
+
+The signs are unlike: q1 grows with the quality (0 is no force closure, DexGraspBench's q1_metric is
+2 - q1), qp_certificate falls.
 
 Source:
-    DexGraspBench, `fc_metric` (q1 = 2 - its q1_metric; qp_metric); Q1 after Ferrari and Canny,
+    DexGraspBench, `fc_metric` (q1_metric, qp_metric); Q1 after Ferrari and Canny,
     "Planning optimal grasps", 1992, as the distance from the origin to the convex hull of single
     cone edges.
 """
@@ -46,7 +50,8 @@ class AnalyticMetrics(NamedTuple):
     q1: float
     """Radius of the largest wrench ball, 0 without force closure [-]."""
     qp_certificate: float
-    """Mean residual norm over six small forces [N]; 0 when all can be balanced."""
+    """Mean residual norm over six small forces, 0 when all can be balanced; three of its numbers are
+    forces [N], three torques [N m]."""
 
 
 class TipContacts(NamedTuple):
@@ -130,8 +135,8 @@ def qp_certificate(tips: TipContacts, friction: float, spin: float) -> float:
     """Mean residual norm of the wrench balance against six forces along +- x, y, z.
 
     A contact's wrench is a mix of the edges of two pyramids, tangential and torsional, whose
-    strengths sum to at most 1; all strengths together sum to at least 1. Torques are in metres
-    about the contacts' centroid.
+    strengths sum to at most 1; all strengths together sum to at least 1. Torques are about the
+    contacts' centroid, with arms in metres and no scale, so the norm mixes N and N m.
 
     Raises:
         MissingExtra: OSQP is not installed.

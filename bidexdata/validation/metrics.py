@@ -28,9 +28,9 @@ class Metrics(NamedTuple):
     """The metric columns of one grasp."""
 
     pd: float
-    """Deepest hand-object overlap [m]."""
+    """Deepest overlap of one hand geom and one piece [m]."""
     spd: float
-    """Deepest overlap within a hand or between hands [m]."""
+    """Deepest overlap of two geoms of a hand or of two hands [m]."""
     cdc: float
     """Largest minus smallest signed finger-object distance, capped at the reach [m]."""
     contact_number: int
