@@ -26,6 +26,9 @@ SHARED: dict[str, tuple[str, ...]] = {
     "stages of 1.0 s": ("segment_changes=25",),
     "weld of 0.01 s (four times as stiff)": ("scene.weld_solref=[0.01, 1.0]",),
     "weld of 0.04 s (a quarter as stiff)": ("scene.weld_solref=[0.04, 1.0]",),
+    "weld 34 mm below the palm, where DexGraspBench has it": (
+        "scene.weld_anchor=[0.0, 0.0, -0.034]",
+    ),
     "friction 0.8": ("scene.friction_slide=0.8",),
     "friction 0.4": ("scene.friction_slide=0.4",),
     "hands feel no gravity": ("scene.hand_gravity_compensation=1.0",),

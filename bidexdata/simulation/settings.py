@@ -1,7 +1,9 @@
 """SceneSettings: every number of the simulated scene that is not a pose.
 
-The defaults are those of protocol `paper-1`. Where the paper is silent they follow DexGraspBench
-(`hand_util.py` and the hand's notes); the paper fixes density, friction and gravity.
+The defaults are those of protocol `paper-1`. The paper fixes density, friction and gravity. Solver,
+contacts of the hand, gains, exclusions and the softness of the weld are DexGraspBench's
+(`hand_util.py` and the hand's notes); the point that the weld holds is not, and docs/protocols.md
+lists where else the protocol departs from it.
 """
 
 from __future__ import annotations
@@ -21,8 +23,8 @@ class SceneSettings:
     """Contact, solver, weld and actuator parameters of a scene.
 
     Source:
-        DexGraspBench `hand_util.py` (solver, contacts, gains, welds, exclusions); BiDexGrasp,
-        section 6 (density, friction).
+        DexGraspBench `hand_util.py` (solver, contacts, gains, welds but for their anchor,
+        exclusions); BiDexGrasp, section 6 (density, friction).
     """
 
     timestep: float = 0.004
@@ -87,7 +89,8 @@ class SceneSettings:
     weld_torque_scale: float = 1.0
     """Weight of the weld's rotation against its translation [m]."""
     weld_anchor: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Point of the hand frame that the weld holds, or that the hinges turn about [m]."""
+    """Point of the hand frame that the weld holds, or that the hinges turn about [m]; ours is its
+    origin, DexGraspBench's the root of its Shadow hand, 34 mm below the palm."""
     slide_gains: tuple[float, float] = (1000.0, 100.0)
     """Stiffness [N/m] and joint damping [N s/m] of a slide of the base."""
     hinge_gains: tuple[float, float] = (100.0, 10.0)
