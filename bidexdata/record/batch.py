@@ -19,7 +19,7 @@ from bidexdata.record.fields import ADDED_IN, FIELDS, STAGES, Field
 if TYPE_CHECKING:
     import pyarrow as pa
 
-SCHEMA_VERSION = "1.1"
+SCHEMA_VERSION = "1.2"
 _HEADER_KEY = b"bidexdata"
 
 

@@ -97,7 +97,10 @@ _ALL = (
     _f("energy_pad", "float32", "", "", "", "synth", "grasps", "squared hinge of the angle between pads and surface at the grasp, unweighted"),
     _f("qp_residual_hand", "float32", "H", "", "", "synth", "grasps", "zero-load QP residual of each hand alone"),
     _f("qp_residual", "float32", "", "", "", "synth", "grasps", "zero-load QP residual of all contacts together, each hand pressing"),
-    _f("qp_residual_shifted", "float32", "", "", "", "synth", "grasps", "its mean over contacts that are moved along the surface: what selection goes by"),
+    _f("qp_residual_shifted", "float32", "", "", "", "synth", "grasps", "its mean over contacts that are moved along the surface; selection goes by it and the three that follow"),
+    _f("settled_pressed", "float32", "", "m", "", "synth", "grasps", "when the hands have closed in the quasi-static model: how far the contact points of the hand that presses less would go on without the object, summed"),
+    _f("settled_touching", "float32", "", "", "", "synth", "grasps", "contact points of both hands that press then, mean over four places of the object"),
+    _f("settled_turned", "float32", "", "rad", "", "synth", "grasps", "how far the object has turned then, mean over the same"),
     _f("contact_index", "int16", "H C", "", "", "synth", "contacts", "number of the hand's contact point; -1 behind those that the grasp is made with"),
     _f("contact_point", "float32", "H C 3", "m", "object", "synth", "contacts", "object surface point closest to the contact point, at the grasp"),
     _f("contact_normal", "float32", "H C 3", "", "object", "synth", "contacts", "outward unit surface normal there"),
@@ -129,7 +132,10 @@ _ALL = (
 
 FIELDS: dict[str, Field] = {field.name: field for field in _ALL}
 
-ADDED_IN = dict.fromkeys(("size", "failed_stage", "q1", "qp_certificate"), "1.1")
+ADDED_IN = {
+    **dict.fromkeys(("size", "failed_stage", "q1", "qp_certificate"), "1.1"),
+    **dict.fromkeys(("settled_pressed", "settled_touching", "settled_turned"), "1.2"),
+}
 """Schema version that brought a column; data of earlier versions does without it."""
 
 

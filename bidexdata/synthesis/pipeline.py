@@ -17,6 +17,7 @@ from bidexdata.hands.contact_sets import ContactSet, contact_view, set_numbers
 from bidexdata.record import GraspBatch, Scene, Status
 from bidexdata.synthesis.attempts import Attempts
 from bidexdata.synthesis.config import SynthConfig
+from bidexdata.synthesis.distance_field import device_field
 from bidexdata.synthesis.forces import (
     ContactForces,
     base_give,
@@ -34,6 +35,7 @@ from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.readout import Energies
 from bidexdata.synthesis.rows import scene_rows
 from bidexdata.synthesis.selection import SelectionConfig, audit, best, doubts, judge
+from bidexdata.synthesis.settling import Settled, settled
 from bidexdata.synthesis.staging import Press
 
 if TYPE_CHECKING:
@@ -99,6 +101,8 @@ class Staged(NamedTuple):
     """Residual of moved contacts [-], (K,)."""
     force_scale: np.ndarray
     """[N] per unit of force, (K, 2)."""
+    settled: Settled
+    """How the object lies when the hands have closed, each (K,)."""
     overlaps: Overlaps
     """Each (K,)."""
     status: np.ndarray
@@ -116,8 +120,10 @@ class Outcome(NamedTuple):
     """Coupled zero-load QP residual [-], (M,)."""
     shifted: np.ndarray
     """Residual of moved contacts [-], (M,)."""
+    settled: Settled
+    """How the object lies when the hands have closed, each (M,)."""
     doubt: np.ndarray
-    """What the order is by, least first [m2], (M,)."""
+    """What the order is by, least first, (M,)."""
     places: np.ndarray
     """Origins of the hand frames at the grasp, object frame [m], (M, 2, 3)."""
     selected: np.ndarray
@@ -218,7 +224,10 @@ def grasp_attempts(
         among_hands=deep.among_hands,
         table=deep.table,
     )
-    return Staged(**made._asdict(), overlaps=deep, status=status)
+    size = np.concatenate([one.start.size for one in attempts])
+    field, model = device_field(obj.sdf, device), config.selection.settling
+    rest = settled(field, hands, stages, size, model, device)
+    return Staged(**made._asdict(), settled=rest, overlaps=deep, status=status)
 
 
 def _grasp_set(
@@ -380,20 +389,16 @@ def outcome(
     placed = one.status == Status.OK
     status = one.status.copy()
     status[placed] = staged.status[rows]
-    depth, residual, shifted, doubt = np.full((4, len(status)), np.nan)
+    depth, residual, shifted = np.full((3, len(status)), np.nan)
+    rest = np.full((3, len(status)), np.nan)
     depth[placed] = staged.overlaps.depth[rows]
     residual[placed] = staged.residual[rows]
     shifted[placed] = staged.shifted[rows]
-    doubt[placed] = doubts(staged.shifted, *_looseness(staged))[rows]
+    rest[:, placed] = np.stack(staged.settled)[:, rows]
+    found = Settled(*rest)
+    doubt = doubts(shifted, found)
     places = np.full((len(status), 2, 3), np.nan)
     places[placed] = staged.grasp.position[rows]
     selected = best(status, depth, residual, doubt, places, grasps, config)
     drawn = audit(len(status), grasps, np.random.default_rng([one.seed, 2]))
-    return Outcome(status, depth, residual, shifted, doubt, places, selected, drawn)
-
-
-def _looseness(staged: Staged) -> tuple[np.ndarray, np.ndarray]:
-    """Mean square root of the pads' gaps, and root of the hands' squared overlaps [m], (K,) each."""
-    contacts = np.sum(staged.contacts.number >= 0, axis=(1, 2))
-    gap = np.sqrt(staged.energies.distance / np.maximum(contacts, 1))
-    return gap, np.sqrt(staged.energies.self_penetration)
+    return Outcome(status, depth, residual, shifted, found, doubt, places, selected, drawn)

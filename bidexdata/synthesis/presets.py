@@ -181,6 +181,13 @@ PAPER_IDLE = (
     Kept("selection.weight", "of an order that keeps everything"),
     Kept("selection.shifted_sets", "of an order that keeps everything"),
     Kept("selection.shifted_iterations", "of an order that keeps everything"),
+    Kept("selection.settling.aside", "of an order that keeps everything"),
+    Kept("selection.settling.friction", "of an order that keeps everything"),
+    Kept("selection.settling.closing_moves", "of an order that keeps everything"),
+    Kept("selection.settling.pressing_moves", "of an order that keeps everything"),
+    Kept("selection.settling.waiting_moves", "of an order that keeps everything"),
+    Kept("selection.settling.repeats", "of an order that keeps everything"),
+    Kept("selection.settling.stride", "of an order that keeps everything"),
 )
 
 _PRESETS = {

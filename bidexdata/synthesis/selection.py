@@ -5,16 +5,17 @@ Nothing here knows a simulator's verdict. The audit rows are drawn before any at
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
 from bidexdata.record import Status
 from bidexdata.synthesis.optimise_config import refuse_outside
+from bidexdata.synthesis.settling import Settled, SettlingConfig
 
-_LEAST_RESIDUAL, _LEAST_GAP, _LEAST_OVERLAP = 1e-7, 1e-4, 3e-5
-"""Smaller figures are as good as these [-, m, m]: float32, the grid's error."""
+_LEAST_RESIDUAL, _LEAST_TURN = 1e-7, 1e-3
+"""Smaller figures are as good as these [-, rad]: float32, the grid's error."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +52,8 @@ class SelectionConfig:
     """Moved sets of contacts per attempt [-]. Measurements, 14."""
     shifted_iterations: int = 60
     """QP iterations of each [-]. The value of measurements, 14, not varied there."""
+    settling: SettlingConfig = field(default_factory=SettlingConfig)
+    """The model of closing hands, the other part of that figure."""
     residual_iterations: int = 150
     """QP iterations of the final residual and forces [-]. Measurements, 4."""
     contact_tolerance: float = 0.010
@@ -138,30 +141,24 @@ def touching(gaps: Float[np.ndarray, "K 2 C"], config: SelectionConfig) -> Int[n
         return np.sum(np.abs(gaps) <= config.contact_tolerance, axis=2)
 
 
-def doubts(
-    shifted: Float[np.ndarray, " M"],
-    gap: Float[np.ndarray, " M"],
-    overlap: Float[np.ndarray, " M"],
-) -> Float[np.ndarray, " M"]:
-    """Give the figure by which attempts are ordered, least first: a product of three [m2].
+def doubts(shifted: Float[np.ndarray, " M"], rest: Settled) -> Float[np.ndarray, " M"]:
+    """Give the figure by which attempts are ordered, least first: odds of failure, up to a factor.
 
-    What balance is left when every finger touches a little elsewhere, how far the pads are off the
-    surface, and how far the hands are in themselves and each other. Each foretells failure, none
-    follows from the others, and a logistic fit gives their logarithms about the same weight.
+    What balance is left when every finger touches a little elsewhere, and how the object lies when
+    the hands have closed: how far it has turned, how hard the weaker hand presses, and how many
+    contacts do.
 
     Args:
         shifted: Residual of moved contacts that carry the weight [-].
-        gap: Mean square root of the pads' distances from the surface [m].
-        overlap: Root of the sum of squared overlaps within and between the hands [m].
+        rest: From `settling.settled`.
 
     Source:
-        Ours; docs/measurements.md, 19.
+        Ours; exponents of a logistic fit, docs/measurements.md, 21.
     """
-    return np.asarray(
-        np.maximum(shifted, _LEAST_RESIDUAL)
-        * np.maximum(gap, _LEAST_GAP)
-        * np.maximum(overlap, _LEAST_OVERLAP)
+    uneven = (
+        np.maximum(shifted, _LEAST_RESIDUAL) ** 0.3 * np.maximum(rest.turned, _LEAST_TURN) ** 0.8
     )
+    return np.asarray(uneven / np.sqrt(rest.pressed) * np.exp(-0.3 * rest.touching))
 
 
 def best(

@@ -17,6 +17,9 @@ from bidexdata.wording import counted
 _SCORES = (
     ("qp_residual", "QP residual, both hands", 1.0, ""),
     ("qp_residual_shifted", "the same with moved contacts", 1.0, ""),
+    ("settled_pressed", "closed, the weaker hand presses by", 1e3, "mm"),
+    ("settled_touching", "closed, contacts that press", 1.0, ""),
+    ("settled_turned", "closed, the object has turned", 180 / np.pi, "°"),
     ("energy_qp", "closure energy Q", 1.0, ""),
     ("energy_distance", "E_dis", 1e6, "mm²"),
     ("energy_penetration", "E_pen", 1e6, "mm²"),

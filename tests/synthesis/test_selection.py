@@ -12,6 +12,7 @@ from bidexdata.synthesis.selection import (
     judge,
     selection_order,
 )
+from bidexdata.synthesis.settling import Settled
 from bidexdata.validation.protocols import load_protocol
 
 CONFIG = SelectionConfig(largest_residual=0.5, clear_depth=0.001, start_depth=0.01, apart=0.0)
@@ -46,20 +47,18 @@ def test_equal_attempts_are_kept_in_their_order():
     assert kept.tolist() == [True, True, False, False, False, False]
 
 
-def test_doubt_is_the_product_of_three_and_small_figures_count_alike():
-    one = np.ones(1)
-    np.testing.assert_allclose(doubts(0.1 * one, 0.002 * one, 0.003 * one), 6e-7)
-    base = doubts(0.1 * one, 0.002 * one, 0.003 * one)
-    for k in range(3):
-        more = [0.1 * one, 0.002 * one, 0.003 * one]
-        more[k] = 2 * more[k]
-        np.testing.assert_allclose(doubts(*more), 2 * base)
-        more[k] = 0 * one
-        lower = doubts(*more)
-        assert lower > 0
-        more[k] = 1e-8 * one
-        assert doubts(*more) == lower
-    assert np.isnan(doubts(np.nan * one, one, one))
+def test_doubt_grows_with_what_speaks_against_a_grasp_and_small_figures_count_alike():
+    def doubt(shifted=0.1, pressed=0.002, touching=8.0, turned=0.05):
+        rest = Settled(*(np.array([x]) for x in (pressed, touching, turned)))
+        return doubts(np.array([shifted]), rest)[0]
+
+    np.testing.assert_allclose(doubt(shifted=0.2) / doubt(), 2**0.3)
+    np.testing.assert_allclose(doubt(turned=0.1) / doubt(), 2**0.8)
+    np.testing.assert_allclose(doubt(pressed=0.008) / doubt(), 0.5)
+    np.testing.assert_allclose(doubt(touching=9.0) / doubt(), np.exp(-0.3))
+    assert doubt(shifted=0.0) == doubt(shifted=1e-8) > 0
+    assert doubt(turned=0.0) == doubt(turned=1e-4) > 0
+    assert np.isnan(doubt(shifted=np.nan))
 
 
 def test_of_attempts_that_are_alike_the_best_comes_first_and_the_others_last():
