@@ -14,7 +14,6 @@ from bidexdata.record import Status
 from bidexdata.synthesis.config import SynthConfig
 from bidexdata.synthesis.explain import Explanation, Finished, Moment
 from bidexdata.synthesis.selection import touching
-from bidexdata.synthesis.settling import Settled
 from bidexdata.synthesis.trace import TERMS, Trace
 from bidexdata.wording import counted
 
@@ -202,10 +201,10 @@ def _selection(one: Explanation, config: SynthConfig, grasps: int) -> StageWords
         )
         return StageWords("selection", text, False)
     rank = f"rank {one.rank} of {counted(len(one.order), 'attempt')} that may be kept"
-    rest = Settled(*(figure[i] for figure in found.settled))
+    pressed, touch, turned = (float(figure[i]) for figure in found.settled)
     by = (
-        f"when the hands have closed {rest.touching:.1f} contacts press, those of the weaker hand by "
-        f"{_mm(rest.pressed)} together, and the object has turned {np.degrees(rest.turned):.1f} "
+        f"when the hands have closed {touch:.1f} contacts press, those of the weaker hand by "
+        f"{_mm(pressed)} together, and the object has turned {np.degrees(turned):.1f} "
         f"degrees; with the residual of moved contacts that makes a doubt of {found.doubt[i]:.3g}"
     )
     if found.depth[i] > select.clear_depth:
