@@ -2,6 +2,7 @@
 
 Area under the ROC curve over the audit rows with a grasp that a run's verdicts are of: the chance
 that a grasp that fails has the larger figure than one that passes. 0.5 says nothing, 1 is perfect.
+Constants were tuned on objects whose file's sha256 begins with 0 to 7 (`tune`), the others are `held_out`.
 Beside it, how many pre-grasps overlap the object on the hands' own geometry, and how many of those
 and of the others pass. The tables go into docs/measurements.md.
 """
@@ -19,8 +20,11 @@ from numpy.typing import NDArray
 from bidexdata import Run
 from bidexdata.record import GraspBatch, Status
 from bidexdata.simulation.distances import pregrasp_penetration
-from bidexdata.synthesis.selection import doubts
+from bidexdata.synthesis.selection import LEAST_RESIDUAL, LEAST_TURN, doubts
+from bidexdata.synthesis.settling import Settled
 
+TUNE = "01234567"
+"""First digits of the sha256 of files that constants were tuned on."""
 CRITERIA = {
     "qp_residual": "coupled residual",
     "qp_residual_shifted": "coupled residual of moved contacts",
@@ -28,7 +32,12 @@ CRITERIA = {
     "energy_penetration": "penetration energy",
     "energy_self": "overlaps of the hands",
     "energy_pad": "angles of the pads",
+    "settled_pressed": "closed: how hard the weaker hand presses",
+    "settled_touching": "closed: contacts that press",
+    "settled_turned": "closed: how far the object has turned",
 }
+FEWER_FAIL = ("settled_pressed", "settled_touching")
+"""Of these the smaller figure is a grasp's that fails."""
 
 
 def auc(figure: NDArray[np.float64], failed: NDArray[np.bool_]) -> float:
@@ -47,24 +56,56 @@ def measure(path: str, protocol: str, test: str) -> dict[str, Any]:
     rows = GraspBatch.concat([b.select(b["synth_status"] == Status.OK) for b in batches])
     failed, status = ~rows["success"], rows["verdict_status"]
     causes = [Status(int(s)) for s in np.unique(status[failed])]
+    tuned = np.array([str(name).rsplit("-", 1)[-1][0] in TUNE for name in rows.object_id])
     found: dict[str, Any] = {"n": len(rows), "failed": int(failed.sum()), "auc": {}}
     for name, words in CRITERIA.items():
-        figure = rows[name].astype(np.float64)
-        of = {"all": auc(figure, failed)}
+        figure = rows[name].astype(np.float64) * (-1 if name in FEWER_FAIL else 1)
+        of = _halves(figure, failed, tuned)
         for cause in causes:
             among = ~failed | (status == cause)
             of[cause.label] = auc(figure[among], failed[among])
         found["auc"][words] = of
     hands = rows["qp_residual_hand"].astype(np.float64).max(axis=1)
-    contacts = np.sum(rows["contact_index"] >= 0, axis=(1, 2))
-    doubt = doubts(
-        rows["qp_residual_shifted"].astype(np.float64),
-        np.sqrt(rows["energy_distance"] / contacts),
-        np.sqrt(rows["energy_self"].astype(np.float64)),
-    )
-    found["auc"]["doubt, the order of the selection"] = {"all": auc(doubt, failed)}
-    found["auc"]["residual of the worse hand alone"] = {"all": auc(hands, failed)}
+    rest = Settled(*(rows[f"settled_{name}"].astype(np.float64) for name in Settled._fields))
+    doubt = doubts(rows["qp_residual_shifted"].astype(np.float64), rest)
+    found["exponents"] = {
+        name: _exponents(rows["qp_residual_shifted"].astype(np.float64), rest, failed, among)
+        for name, among in {"all": tuned | ~tuned, "tune": tuned, "held_out": ~tuned}.items()
+    }
+    found["auc"]["doubt, the order of the selection"] = _halves(doubt, failed, tuned)
+    found["auc"]["residual of the worse hand alone"] = _halves(hands, failed, tuned)
     return found
+
+
+def _halves(
+    figure: NDArray[np.float64], failed: NDArray[np.bool_], tuned: NDArray[np.bool_]
+) -> dict[str, float]:
+    halves = {"tune": tuned, "held_out": ~tuned}
+    return {"all": auc(figure, failed)} | {k: auc(figure[m], failed[m]) for k, m in halves.items()}
+
+
+def _exponents(
+    shifted: NDArray[np.float64],
+    rest: Settled,
+    failed: NDArray[np.bool_],
+    among: NDArray[np.bool_],
+) -> dict[str, float]:
+    """What a logistic fit makes of the parts of the doubt: odds = shifted^a pressed^b e^(c n) turned^d."""
+    from scipy.optimize import minimize
+
+    parts = {
+        "shifted": np.log(np.maximum(shifted, LEAST_RESIDUAL)),
+        "pressed": np.log(rest.pressed),
+        "touching": rest.touching,
+        "turned": np.log(np.maximum(rest.turned, LEAST_TURN)),
+    }
+    x = np.stack(list(parts.values()), axis=1)[among]
+    x, y = np.column_stack([x - x.mean(axis=0), np.ones(len(x))]), failed[among]
+
+    def loss(w: NDArray[np.float64]) -> float:
+        return float(np.mean(np.logaddexp(0, x @ w) - y * (x @ w)))
+
+    return dict(zip(parts, minimize(loss, np.zeros(x.shape[1])).x.round(3).tolist(), strict=False))
 
 
 def measure_overlaps(path: str, protocol: str, test: str) -> dict[str, float]:

@@ -14,7 +14,7 @@ from bidexdata.record import Status
 from bidexdata.synthesis.optimise_config import refuse_outside
 from bidexdata.synthesis.settling import Settled, SettlingConfig
 
-_LEAST_RESIDUAL, _LEAST_TURN = 1e-7, 1e-3
+LEAST_RESIDUAL, LEAST_TURN = 1e-7, 1e-3
 """Smaller figures are as good as these [-, rad]: float32, the grid's error."""
 
 
@@ -155,9 +155,7 @@ def doubts(shifted: Float[np.ndarray, " M"], rest: Settled) -> Float[np.ndarray,
     Source:
         Ours; exponents of a logistic fit, docs/measurements.md, 21.
     """
-    uneven = (
-        np.maximum(shifted, _LEAST_RESIDUAL) ** 0.3 * np.maximum(rest.turned, _LEAST_TURN) ** 0.8
-    )
+    uneven = np.maximum(shifted, LEAST_RESIDUAL) ** 0.3 * np.maximum(rest.turned, LEAST_TURN) ** 0.8
     return np.asarray(uneven / np.sqrt(rest.pressed) * np.exp(-0.3 * rest.touching))
 
 
