@@ -50,11 +50,11 @@ def force_closure(
     touched = touches_object(scene)
     closed = saved_state(scene)
     loads = [_load(grasp, name) for name in protocol.directions]
-    grip = Grip.LOOSE if execution.plain else probe(scene, protocol, execution.rest, loads)
+    grip = Grip.UNKNOWN if execution.plain else probe(scene, protocol, execution.rest, loads)
 
     def loaded(multiple: float, watch: Watch | None = None) -> tuple[int, Phase]:
-        # What the probe said holds for the protocol's own load; others end by the strictest rule.
-        how = grip if multiple == 1.0 else Grip.LOOSE
+        # What the probe said holds for the protocol's own load; others end by a rule of their own.
+        how = grip if multiple == 1.0 else Grip.UNKNOWN
         return _all_directions(
             scene, protocol, grasp, closed, wanted, execution, how, multiple, watch
         )

@@ -101,10 +101,10 @@ def _lifted(
         phase = Phase(status, moved, turned, up_time)
         ended = TestStage.NONE if status is Status.OK else TestStage.LIFT
     else:
-        # Other loads than the protocol's, and what is out of place already, end by the loose rule.
+        # Other loads than the protocol's, and what is out of place already, are not probed.
         probed = multiple == 1.0 and not execution.plain and status is Status.OK
         rest = execution.lift_rest
-        grip = Grip.LOOSE
+        grip = Grip.UNKNOWN
         if probed:
             grip = probe(scene, protocol, rest, [np.array(DOWN)])
             set_load(scene, protocol, np.array(DOWN), multiple)

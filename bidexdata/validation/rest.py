@@ -73,7 +73,6 @@ class RestRules:
     """... and turns less than this [rad]. One that loses the object is loose."""
 
     firm: tuple[Slow, ...] = (
-        Slow(speed=0.05, turn=0.25, times=1.0, share=0.6, at_most=0.35),
         Slow(speed=0.012, turn=0.06, times=1.0, share=0.6, at_most=0.5),
         Slow(speed=0.0007, turn=0.005, times=2.0, share=0.9),
     )
@@ -85,21 +84,26 @@ class RestRules:
     """... on one that settles."""
     fair: tuple[Slow, ...] = (Slow(speed=0.0015, turn=0.01, times=2.0, share=0.8),)
     """... on a fair one: any other that keeps the object."""
-    loose: tuple[Slow, ...] = (Slow(speed=0.001, turn=0.008, times=2.0, share=0.7, after=1.0),)
-    """... on a loose one."""
+    loose: tuple[Slow, ...] = ()
+    """... on a loose one: none does, it is held to the end."""
+    unknown: tuple[Slow, ...] = (Slow(speed=0.001, turn=0.008, times=2.0, share=0.7, after=1.0),)
+    """... on one that has not been probed: under other loads than the protocol's."""
 
     def of(self, grip: Grip) -> tuple[Slow, ...]:
         """The rules for one kind of grip."""
         return getattr(self, grip.value)
 
 
+_LIFT_STRICT = (Slow(speed=0.0005, turn=0.004, times=2.0, share=0.7, after=1.0),)
 LIFT_RULES = RestRules(
     probe_time=0.12,
     firm_moved=0.01,
     firm_turned=math.radians(5.0),
     firm_speed=0.05,
+    firm=(Slow(speed=0.05, turn=0.25, times=1.0, share=0.6, at_most=0.35), *RestRules().firm),
     settled=(Slow(speed=0.003, turn=0.02, times=2.0, share=0.7),),
-    loose=(Slow(speed=0.0005, turn=0.004, times=2.0, share=0.7, after=1.0),),
+    loose=_LIFT_STRICT,
+    unknown=_LIFT_STRICT,
 )
 """For the hold of a lift: the probe's one load tells less than six, and strict rules cost little
 where only one hold is watched."""
@@ -112,6 +116,7 @@ class Grip(Enum):
     SETTLED = "settled"
     FAIR = "fair"
     LOOSE = "loose"
+    UNKNOWN = "unknown"
 
 
 def probe(
