@@ -13,15 +13,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.closed import as_manifold, as_mesh, convex_hull, thinnest, union
-from bidexdata.objects.coacd_process import run_coacd
-from bidexdata.objects.config import ConvexConfig
-from bidexdata.objects.cuts import overlap_cuts
-from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.physics import mass_properties
-from bidexdata.objects.prepared import TriangleMesh
-from bidexdata.objects.trimmed import trimmed
 from bidexdata.record.status import Status
+
+from .closed import as_manifold, as_mesh, convex_hull, thinnest, union
+from .coacd_process import run_coacd
+from .config import ConvexConfig
+from .cuts import overlap_cuts
+from .failure import PrepareFailure
+from .physics import mass_properties
+from .prepared import TriangleMesh
+from .trimmed import trimmed
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

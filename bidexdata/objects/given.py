@@ -12,17 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bidexdata.objects.closed import as_mesh, convex_hull, thinnest
-from bidexdata.objects.components import compact, joined
-from bidexdata.objects.config import LoadConfig
-from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.loading import file_mesh, unit_mesh
-from bidexdata.objects.physics import mass_properties
-from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.readers import read_content
 from bidexdata.objects.readers.inside import regular_bytes
 from bidexdata.objects.sources.item import SourceItem
 from bidexdata.record.status import Status
+
+from .closed import as_mesh, convex_hull, thinnest
+from .components import compact, joined
+from .config import LoadConfig
+from .failure import PrepareFailure
+from .loading import file_mesh, unit_mesh
+from .physics import mass_properties
+from .prepared import TriangleMesh
 
 _CONVEX = 0.97
 """Share of its hull that a piece fills. Measured: 0.999999 and more for all 74 pieces of six

@@ -10,13 +10,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
-from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.readers.gltf import named_buffers
 from bidexdata.objects.readers.inside import beside, regular_blocks, regular_size
 from bidexdata.objects.sources import SourceItem
 from bidexdata.objects.sources.shapes import shape_bytes
 from bidexdata.record.status import Status
 from bidexdata.wording import counted
+
+from .failure import PrepareFailure
 
 _GENERIC = frozenset(
     {

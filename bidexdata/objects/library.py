@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any
 from bidexdata.config import canonical_json, fingerprint
 from bidexdata.errors import Contradiction, NotUsable, UnknownName
 from bidexdata.kinds import INDEX, expect_kind
-from bidexdata.objects.prepared import PreparedObject, Solid
-from bidexdata.objects.storage import OBJECT_FILES, SCHEMA_VERSION
-from bidexdata.objects.storage import read_object as read_object
-from bidexdata.objects.storage import read_solid as read_solid
-from bidexdata.objects.storage import write_object as write_object
-from bidexdata.objects.storage import write_solid as write_solid
 from bidexdata.record.status import Status
+
+from .prepared import PreparedObject, Solid
+from .storage import OBJECT_FILES, SCHEMA_VERSION
+from .storage import read_object as read_object
+from .storage import read_solid as read_solid
+from .storage import write_object as write_object
+from .storage import write_solid as write_solid
 
 if TYPE_CHECKING:
     import pyarrow as pa

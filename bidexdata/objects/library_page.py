@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from bidexdata.objects.config import RepairConfig, RestConfig
-from bidexdata.objects.library import COLUMNS
-from bidexdata.objects.storage import SCHEMA_VERSION
+from .config import RepairConfig, RestConfig
+from .library import COLUMNS
+from .storage import SCHEMA_VERSION
 
 PAGE = Path("docs/library.md")
 

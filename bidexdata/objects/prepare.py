@@ -13,26 +13,27 @@ from typing import Any
 import numpy as np
 
 from bidexdata.errors import PathNotFound
-from bidexdata.objects.assemble import UnitSolid, assembled, unit_solid
-from bidexdata.objects.closed import as_manifold
-from bidexdata.objects.config import PrepareConfig
-from bidexdata.objects.convex import Decomposition, decompose
-from bidexdata.objects.debris import without_debris
-from bidexdata.objects.deviation import hausdorff
-from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.given import GivenPieces, given_pieces
-from bidexdata.objects.identity import Identity, identity_of, object_id_of, source_identity
-from bidexdata.objects.loading import LoadedMesh, load_mesh, unit_mesh
-from bidexdata.objects.physics import mass_properties
-from bidexdata.objects.prepared import PreparedObject, TriangleMesh
 from bidexdata.objects.readers.inside import regular_bytes
-from bidexdata.objects.repair import Repaired, repair
-from bidexdata.objects.selection import outside
 from bidexdata.objects.sources import SourceItem
 from bidexdata.objects.sources.shapes import shape_mesh
-from bidexdata.objects.traits import mesh_hash, traits
 from bidexdata.record.status import Status
 from bidexdata.wording import counted
+
+from .assemble import UnitSolid, assembled, unit_solid
+from .closed import as_manifold
+from .config import PrepareConfig
+from .convex import Decomposition, decompose
+from .debris import without_debris
+from .deviation import hausdorff
+from .failure import PrepareFailure
+from .given import GivenPieces, given_pieces
+from .identity import Identity, identity_of, object_id_of, source_identity
+from .loading import LoadedMesh, load_mesh, unit_mesh
+from .physics import mass_properties
+from .prepared import PreparedObject, TriangleMesh
+from .repair import Repaired, repair
+from .selection import outside
+from .traits import mesh_hash, traits
 
 VOLUME_DOUBT = 0.25
 """Relative difference between the volumes of pieces and mesh above which a warning says so."""

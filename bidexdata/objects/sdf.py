@@ -15,10 +15,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.config import SdfConfig
-from bidexdata.objects.mesh_queries import distances, donated_distances, nodes_inside
-from bidexdata.objects.prepared import SignedDistanceGrid, TriangleMesh
-from bidexdata.objects.surface import sample_surface
+from .config import SdfConfig
+from .mesh_queries import distances, donated_distances, nodes_inside
+from .prepared import SignedDistanceGrid, TriangleMesh
+from .surface import sample_surface
 
 _LADDER = (0.5, 0.625, 0.75, 0.875, 1.0)
 """Shares of the finest grid's cells."""

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from bidexdata.frames import quat_from_rotation_vector, transform
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.polygons import triangulated
-from bidexdata.objects.readers.content import (
+
+from .content import (
     R_WORLD_X_UP,
     R_WORLD_Y_UP,
     Content,
@@ -27,8 +28,8 @@ from bidexdata.objects.readers.content import (
     joined_parts,
     unreadable,
 )
-from bidexdata.objects.readers.scene import Place, placed
-from bidexdata.objects.readers.text import numbers, plain_text, whole_numbers
+from .scene import Place, placed
+from .text import numbers, plain_text, whole_numbers
 
 _R_WORLD_FILE = {"X_UP": R_WORLD_X_UP, "Y_UP": R_WORLD_Y_UP, "Z_UP": np.eye(3)}
 _PRIMITIVES = ("triangles", "polylist", "polygons", "trifans", "tristrips")

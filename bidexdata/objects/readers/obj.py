@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.polygons import triangulated
-from bidexdata.objects.readers.content import Content, Part, check_faces, joined_parts, unreadable
-from bidexdata.objects.readers.inside import leads_out
-from bidexdata.objects.readers.text import bad_numbers, numbers, plain_text, shown, whole_numbers
 from bidexdata.record.status import Status
 from bidexdata.wording import counted
+
+from .content import Content, Part, check_faces, joined_parts, unreadable
+from .inside import leads_out
+from .text import bad_numbers, numbers, plain_text, shown, whole_numbers
 
 
 def read_obj(path: Path, data: bytes, config: LoadConfig) -> Content:

@@ -9,7 +9,8 @@ from typing import Any
 
 from bidexdata.errors import NotUsable
 from bidexdata.objects.readers.inside import file_inside
-from bidexdata.objects.sources.item import SourceItem
+
+from .item import SourceItem
 
 SIDE_LIST = "INDEX.csv"
 """Name of a list that describes the files of a folder in which or beside which it lies."""

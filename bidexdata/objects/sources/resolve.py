@@ -9,12 +9,13 @@ from pathlib import Path
 
 from bidexdata.errors import UnknownName
 from bidexdata.objects.readers.inside import real_path
-from bidexdata.objects.sources.files import file_items, folder_items, glob_items
-from bidexdata.objects.sources.item import SourceItem
-from bidexdata.objects.sources.lists import list_items
-from bidexdata.objects.sources.objaverse import objaverse_items
-from bidexdata.objects.sources.shapes import shape_items
-from bidexdata.objects.sources.trees import bodex_items, dexgraspnet_items
+
+from .files import file_items, folder_items, glob_items
+from .item import SourceItem
+from .lists import list_items
+from .objaverse import objaverse_items
+from .shapes import shape_items
+from .trees import bodex_items, dexgraspnet_items
 
 _ADAPTERS = {
     "shapes": shape_items,
