@@ -15,11 +15,7 @@ from bidexdata.kinds import INDEX, expect_kind
 from bidexdata.record.status import Status
 
 from .prepared import PreparedObject, Solid
-from .storage import OBJECT_FILES, SCHEMA_VERSION
-from .storage import read_object as read_object
-from .storage import read_solid as read_solid
-from .storage import write_object as write_object
-from .storage import write_solid as write_solid
+from .storage import OBJECT_FILES, SCHEMA_VERSION, read_object, read_solid
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -106,7 +102,7 @@ class Library:
     @property
     def fingerprint(self) -> str:
         """Hash of every object's identity and contents; equal libraries have equal ones."""
-        return fingerprint([[i, self._rows[i]["content_sha256"]] for i in sorted(self._rows)])
+        return library_fingerprint({i: r["content_sha256"] for i, r in self._rows.items()})
 
     def row(self, object_id: str) -> dict[str, Any]:
         """The index row of a prepared object.
@@ -149,6 +145,11 @@ class Library:
                 "delete the folder and run `bidexdata prepare` again"
             )
         return folder
+
+
+def library_fingerprint(contents: Mapping[str, str]) -> str:
+    """Hash the prepared objects of a library: object_id -> `content_sha256`."""
+    return fingerprint([[i, contents[i]] for i in sorted(contents)])
 
 
 def warnings_of(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:

@@ -26,7 +26,9 @@ from bidexdata.objects.config import (
 from bidexdata.objects.library import Library
 from bidexdata.record.status import Status
 from bidexdata.runs import object_folders
-from bidexdata.runs.prepare import PrepareReport, prepare_library, prepare_one
+from bidexdata.runs.prepare import prepare_library
+from bidexdata.runs.prepare_report import PrepareReport
+from bidexdata.runs.prepare_task import prepare_one
 
 
 @pytest.fixture
@@ -266,6 +268,31 @@ def test_a_worker_that_dies_costs_one_row_and_a_rerun_tries_again(
     again = run(sources, out, small)
     assert [row["status"] for row in again.rows] == [Status.OK] * 2
     assert again.made == 1
+
+
+def raises_of_the_first(task):
+    if task.item.source_name == "a_box.stl":
+        raise KeyError("SIGXCPU")
+    return prepare_one(task)
+
+
+def test_an_exception_is_no_death_and_its_traceback_is_kept(tmp_path, meshes, small, monkeypatch):
+    out, sources = tmp_path / "lib", [meshes / "a_box.stl", meshes / "e_box.obj"]
+    with monkeypatch.context() as patch:
+        patch.setattr("bidexdata.runs.prepare.prepare_one", raises_of_the_first)
+        first, other = run(sources, out, small).rows
+    # A word in its message is no signal.
+    assert (first["status"], other["status"]) == (Status.CRASHED, Status.OK)
+    assert first["reason"].endswith(
+        "unexpected error, whose traceback is in the logs: KeyError: 'SIGXCPU'"
+    )
+    assert "died" not in first["reason"]
+    (log,) = (out / ".logs").iterdir()
+    text = log.read_text()
+    assert first["object_id"] in text
+    assert "in raises_of_the_first" in text
+    again = run(sources, out, small)
+    assert [row["status"] for row in again.rows] == [Status.OK] * 2
 
 
 def test_a_worker_that_needs_too_much_memory_costs_one_row(tmp_path, meshes, small):

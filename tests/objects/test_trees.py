@@ -17,7 +17,8 @@ from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepare import prepare_object
 from bidexdata.objects.prepared import PreparedObject, TriangleMesh
 from bidexdata.objects.sources import resolve_sources
-from bidexdata.runs.prepare import PrepareReport, prepare_library
+from bidexdata.runs.prepare import prepare_library
+from bidexdata.runs.prepare_report import PrepareReport
 
 FACES = np.array(BOX_FACES, np.int32) - 1
 # Two boxes of 0.16 and 0.288 that overlap in 0.2 x 0.4 x 0.4.
