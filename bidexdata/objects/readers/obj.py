@@ -92,7 +92,7 @@ def _corners(
     try:
         corners = whole_numbers([word for row in rows for word in row])
     except ValueError as err:
-        k = next(k for k, row in enumerate(rows) if not all(map(_is_whole, row)))
+        k = next(k for k, row in enumerate(rows) if not _are_whole(row))
         text = bad_numbers(b"f " + polygons[k], lines[k], "a face of whole numbers")
         raise unreadable(text) from err
     owner = np.repeat(np.arange(len(rows)), counts)
@@ -111,9 +111,9 @@ def _corners(
     return index, counts
 
 
-def _is_whole(word: bytes) -> bool:
+def _are_whole(words: list[bytes]) -> bool:
     try:
-        int(word)
+        whole_numbers(words)
     except ValueError:
         return False
     return True
