@@ -63,14 +63,15 @@ def given_pieces(item: SourceItem, config: LoadConfig) -> GivenPieces:
     warnings = []
     if len(solid) < len(raw):
         warnings.append(f"{len(raw) - len(solid)} of {len(raw)} given pieces are flat: left out")
+    shown, doubts = _shown(item.shown, config)
     hulls = [as_mesh(convex_hull(p.vertices)) for p in solid]
     return GivenPieces(
         pieces=tuple(hulls),
         whole=joined(raw),
         radius=float(np.linalg.norm(corners, axis=1).max()),
-        shown=_shown(item.shown, config, warnings),
+        shown=shown,
         not_convex=sum(not _fills(p, h) for p, h in zip(solid, hulls, strict=True)),
-        warnings=tuple(warnings),
+        warnings=(*warnings, *doubts),
     )
 
 
@@ -96,11 +97,11 @@ def _fills(piece: TriangleMesh, hull: TriangleMesh) -> bool:
     return abs(mass_properties(piece).volume) >= _CONVEX * mass_properties(hull).volume
 
 
-def _shown(path: Path | None, config: LoadConfig, warnings: list[str]) -> TriangleMesh | None:
+def _shown(path: Path | None, config: LoadConfig) -> tuple[TriangleMesh | None, tuple[str, ...]]:
+    """The mesh to show, and why the one that the source has is not shown."""
     if path is None:
-        return None
+        return None, ()
     try:
-        return file_mesh(path, config)
+        return file_mesh(path, config), ()
     except PrepareFailure as failure:
-        warnings.append(f"{path.name} is not shown: {failure.reason}")
-        return None
+        return None, (f"{path.name} is not shown: {failure.reason}",)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bidexdata.errors import PathNotFound
+from bidexdata.errors import NotUsable, PathNotFound
 from bidexdata.objects.readers.inside import regular_bytes
 from bidexdata.objects.sources import SourceItem
 from bidexdata.objects.sources.shapes import shape_mesh
@@ -46,7 +46,7 @@ def prepare_object(
 
     Args:
         source: A mesh file, `shapes:FAMILY` or `shapes:FAMILY/NUMBER`, triangles (any unit, z
-            up), or an item that `resolve_sources` listed.
+            up), or an item that `resolve_sources` listed (and `fetched` completed).
         config: Every tolerance and bound; the defaults when omitted.
 
     Returns:
@@ -55,6 +55,7 @@ def prepare_object(
     Raises:
         PrepareFailure: The source cannot become a solid; `.status` and `.reason` say why.
         PathNotFound: A named file does not exist.
+        NotUsable: The item is one of Objaverse whose file `fetched` has not brought.
 
     Example:
         >>> obj = prepare_object("shapes:box")
@@ -250,6 +251,11 @@ def _item_and_identity(
         item = SourceItem(source_name="triangles", path=Path("triangles"))
         return item, identity_of([corners, faces])
     if isinstance(source, SourceItem):
+        if source.uid and source.path is None and not source.problem:
+            raise NotUsable(
+                f"{source.source_name} has no file yet; call bidexdata.objects.sources.fetched on the "
+                "items of resolve_sources first"
+            )
         return source, source_identity(source, most)
     text = str(source)
     if text.startswith("shapes:") and not Path(text).exists():

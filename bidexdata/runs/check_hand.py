@@ -188,7 +188,7 @@ def _postures(hands: Sequence[Hand]) -> Finding:
         for posture in ("open", "curved"):
             joints = hand.posture_open if posture == "open" else hand.posture_curved
             set_pose(scene, np.zeros(3), [1, 0, 0, 0], np.zeros((1, 3)), [[1, 0, 0, 0]], [joints])
-            contacts = list_contacts(scene, 0.0, True)
+            contacts = list_contacts(scene, 0.0, full_broad_phase=True)
             for geoms, dist in zip(contacts.geoms, contacts.dist, strict=True):
                 deepest = max(deepest, -float(dist))
                 if dist < -OVERLAP:

@@ -337,6 +337,7 @@ def test_listed_files_that_do_not_exist_are_rows(tmp_path, meshes, small):
     listed.write_text("missing.obj\na_box.stl\n")
     report = run([listed], tmp_path / "lib", small)
     assert [r["status_label"] for r in report.rows] == ["no_file", "ok"]
+    assert "the list's own folder" in report.rows[0]["reason"]
 
 
 def test_real_meshes_are_prepared_without_the_hull(tmp_path, shared):

@@ -168,6 +168,22 @@ def test_the_same_file_without_its_pieces_has_another_identity(tmp_path, small):
     assert not ids[0] & ids[1]
 
 
+def test_a_tree_is_not_lost_where_its_files_are_named_as_meshes_too(tmp_path):
+    root = write_dexgraspnet(tmp_path / "tree")
+    both = resolve_sources([str(root), f"dexgraspnet:{root}", f"dexgraspnet:{root}"])
+    trees = [item for item in both if item.pieces]
+    assert len(trees) == 4
+    assert len(both) == 4 + len(resolve_sources([str(root)]))
+    assert trees == resolve_sources([f"dexgraspnet:{root}"])
+
+
+def test_a_file_that_a_tree_lacks_is_named(tmp_path, small):
+    root = write_dexgraspnet(tmp_path / "tree")
+    rows = run(f"dexgraspnet:{root}", tmp_path / "lib", small).rows
+    (lost,) = [r for r in rows if r["status_label"] == "no_file"]
+    assert lost["reason"] == "there is no such file: coacd/decomposed.obj"
+
+
 def test_a_group_that_is_not_convex_is_decomposed_anew(tmp_path, small):
     path = tmp_path / "tree" / "ell" / "coacd" / "decomposed.obj"
     write_groups(path, [box((1, 0, 0), (1.0, 0.2, 0.2)), box((0, 1, 0), (0.2, 1.2, 0.2))])

@@ -36,7 +36,9 @@ def list_items(path: Path) -> list[SourceItem]:
     if not rows:
         raise NotUsable(f"{path}: the list names no file")
     return [
-        SourceItem(source_name=row["file"], path=path.parent / row["file"], **_origin(row))
+        SourceItem(
+            source_name=row["file"], path=path.parent / row["file"], listed=True, **_origin(row)
+        )
         for row in rows
     ]
 
