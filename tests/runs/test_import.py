@@ -16,6 +16,7 @@ from bidexdata.errors import ConfigConflict, Contradiction, NotUsable, PathNotFo
 from bidexdata.formats.release import Release
 from bidexdata.formats.verify import verify_release
 from bidexdata.objects.library import Library
+from bidexdata.objects.library_page import NOT_IMPORTED
 from bidexdata.runs import import_objects, import_scan
 from bidexdata.runs.browse import open_browsable
 from bidexdata.runs.import_ import ImportRequest, import_run
@@ -89,6 +90,17 @@ def test_a_run_with_its_own_library_comes_out(bench, imported):
         np.testing.assert_array_equal(np.sort(batch["size"]), expected)
         assert set(batch["scene_id"].tolist()) == set(task.scene_ids)
         assert set(batch["size_mm"].tolist()) <= set(run.spec.sizes_mm)
+
+
+def test_an_imported_library_lacks_what_its_page_says(imported):
+    rows = Library.open(imported / "library").index.to_pylist()
+    for row in rows:
+        assert {name for name, value in row.items() if value is None} == set(NOT_IMPORTED)
+    names = {p.name for p in (imported / "library").rglob("*")}
+    assert not names & {"report.html", ".times", "thumbnail.png"}
+    for object_id in Library.open(imported / "library").object_ids:
+        known = Library.open(imported / "library").load_solid(object_id).provenance
+        assert not set(known) & set(NOT_IMPORTED)
 
 
 def test_the_same_files_give_the_same_bytes_wherever_they_lie(bench, imported, tmp_path):
