@@ -17,7 +17,7 @@ from .failure import PrepareFailure
 from .physics import MassProperties, mass_properties
 from .prepared import PreparedObject, TriangleMesh
 from .rest import rest_poses
-from .sdf import signed_distance_grid
+from .sdf import grid_warnings, signed_distance_grid
 from .simulated import check_simulated
 from .surface import surface_points
 from .traits import descriptor
@@ -118,6 +118,8 @@ def assembled(
     warnings = [*provenance.get("warnings", ())]
     if not len(rest.heights):
         warnings.append("no rest pose: it comes to rest on a table in no orientation")
+    sdf = signed_distance_grid(solid.mesh, solid.pieces, config.sdf)
+    warnings += grid_warnings(solid.mesh, solid.pieces, sdf, config.sdf)
     points, normals = surface_points(solid.mesh, config.surface)
     shape = [round(float(x), 6) for x in descriptor(points, solid.mesh)]
     display = _fewer_faces(display, config.repair.display_faces)
@@ -136,7 +138,7 @@ def assembled(
         hull=hull,
         surface_points=points,
         surface_normals=normals,
-        sdf=signed_distance_grid(solid.mesh, solid.pieces, config.sdf),
+        sdf=sdf,
     )
 
 

@@ -200,7 +200,7 @@ def test_flat_pieces_are_left_out_and_named(tmp_path, small):
     [item] = resolve_sources([f"dexgraspnet:{tmp_path}"])
     obj = prepare_object(item, small)
     assert len(obj.pieces) == 1
-    assert obj.provenance["warnings"] == ["1 of 2 given pieces are flat: left out"]
+    assert obj.provenance["warnings"][0] == "1 of 2 given pieces are flat: left out"
 
 
 def test_bad_files_of_pieces_are_rows_with_a_reason(tmp_path, small):
