@@ -25,7 +25,8 @@ from bidexdata.objects.sources import resolve_sources
 from bidexdata.objects.storage import read_document
 from bidexdata.record.status import Status
 from bidexdata.runs.executors import TaskFailure, run_tasks
-from bidexdata.runs.prepare import PrepareTask, prepare_library, prepare_one
+from bidexdata.runs.prepare import prepare_library
+from bidexdata.runs.prepare_task import PrepareTask, prepare_one
 from bidexdata.runs.worker_limits import CPU_SIGNAL
 
 PAGE = Path("docs/hostile_files.md")

@@ -16,7 +16,7 @@ _SHOWN = 10
 
 
 def import_(
-    format: Annotated[str, typer.Argument(metavar="FORMAT", help="dexgraspbench.")],
+    format_: Annotated[str, typer.Argument(metavar="FORMAT", help="dexgraspbench.")],
     path: Annotated[Path, typer.Argument(metavar="PATH", help="The other project's folder.")],
     out: Annotated[Path, typer.Option(metavar="RUN", help="Folder of the run.")],
     hand: Annotated[
@@ -55,7 +55,7 @@ def import_(
     from bidexdata.runs.import_ import ImportRequest, import_run
 
     request = ImportRequest(
-        format=format,
+        format=format_,
         path=path,
         hand=hand,
         setting=setting_of(setting),
@@ -87,7 +87,9 @@ def import_(
     lines = [f"{f.file}: {f.reason}" for f in told[:_SHOWN]]
     if len(told) > _SHOWN:
         more = counted(len(told) - _SHOWN, "more file")
-        lines.append(f"... and {more}; --json and {out}/files.parquet")
+        # Without a grasp there is no run, and no file in it.
+        listed = f" and {out}/files.parquet" if report.fingerprint else ""
+        lines.append(f"... and {more}: --json{listed}")
     statuses = counts_text({"read": len(report.files) - len(failed), "failed": len(failed)})
     lines.append(
         f"{counted(report.rows, 'grasp')} of {counted(made, 'object')} "
@@ -97,7 +99,7 @@ def import_(
     finish(
         data,
         lines,
-        following=command("validate", out, "--protocol", load_format(format).protocol)
+        following=command("validate", out, "--protocol", load_format(format_).protocol)
         if done
         else "",
         as_json=as_json,

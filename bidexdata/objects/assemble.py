@@ -8,18 +8,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.closed import as_manifold, as_mesh, convex_hull, union
-from bidexdata.objects.config import PrepareConfig
-from bidexdata.objects.drops import Body
-from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.physics import MassProperties, mass_properties
-from bidexdata.objects.prepared import PreparedObject, TriangleMesh
-from bidexdata.objects.rest import rest_poses
-from bidexdata.objects.sdf import signed_distance_grid
-from bidexdata.objects.simulated import check_simulated
-from bidexdata.objects.surface import surface_points
-from bidexdata.objects.traits import descriptor
 from bidexdata.record.status import Status
+
+from .closed import as_manifold, as_mesh, convex_hull, union
+from .config import PrepareConfig
+from .drops import Body
+from .failure import PrepareFailure
+from .physics import MassProperties, mass_properties
+from .prepared import PreparedObject, TriangleMesh
+from .rest import rest_poses
+from .sdf import grid_warnings, signed_distance_grid
+from .simulated import check_simulated
+from .surface import surface_points
+from .traits import descriptor
 
 _SLIVERS = (1e-5, 1e-6)
 """Tolerances at which the needles that a union leaves are collapsed; searches are in float32."""
@@ -117,6 +118,8 @@ def assembled(
     warnings = [*provenance.get("warnings", ())]
     if not len(rest.heights):
         warnings.append("no rest pose: it comes to rest on a table in no orientation")
+    sdf = signed_distance_grid(solid.mesh, solid.pieces, config.sdf)
+    warnings += grid_warnings(solid.mesh, solid.pieces, sdf, config.sdf)
     points, normals = surface_points(solid.mesh, config.surface)
     shape = [round(float(x), 6) for x in descriptor(points, solid.mesh)]
     display = _fewer_faces(display, config.repair.display_faces)
@@ -135,7 +138,7 @@ def assembled(
         hull=hull,
         surface_points=points,
         surface_normals=normals,
-        sdf=signed_distance_grid(solid.mesh, solid.pieces, config.sdf),
+        sdf=sdf,
     )
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.prepared import TriangleMesh
+from .prepared import TriangleMesh
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

@@ -18,9 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.record.status import Status
+
+from .failure import PrepareFailure
+from .prepared import TriangleMesh
 
 _log = logging.getLogger(__name__)
 

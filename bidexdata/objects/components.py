@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.prepared import TriangleMesh
+from .prepared import TriangleMesh
 
 
 def without_double_faces(mesh: TriangleMesh) -> TriangleMesh:

@@ -5,7 +5,9 @@ Lengths without another unit are fractions of the bounding-box diagonal of the m
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 from bidexdata.errors import BadConfig
 
@@ -27,7 +29,7 @@ class LoadConfig:
     holes are for the repair. Above it the file is refused."""
 
     def __post_init__(self):
-        _positive(self, "max_faces", "max_bytes", "max_unpacked_bytes", "max_instances")
+        _check(self, "max_faces", "max_bytes", "max_unpacked_bytes", "max_instances")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +85,11 @@ class RepairConfig:
     """Samples per direction of the Hausdorff distance, besides all vertices."""
 
     def __post_init__(self):
-        _positive(self, "weld", "loose_weld", "remesh_cells", "shell_cells", "lost_cells")
+        _check(
+            self,
+            *("weld", "loose_weld", "remesh_cells", "shell_cells", "lost_cells"),
+            *("display_faces", "hausdorff_samples"),
+        )
         if self.fine_cells < self.remesh_cells:
             raise BadConfig("repair.fine_cells must not be smaller than repair.remesh_cells")
         if self.plate < self.thin:
@@ -148,8 +154,11 @@ class ConvexConfig:
     """Pieces below this share of the total volume are dropped: MuJoCo refuses tiny meshes."""
 
     def __post_init__(self):
-        _positive(self, "threshold", "max_pieces", "cpu_seconds", "second_cpu_seconds")
-        _positive(self, "finer_above", "finer_factor", "finest_threshold", "finer_cpu_seconds")
+        _check(
+            self,
+            *("threshold", "max_pieces", "cpu_seconds", "second_cpu_seconds", "finer_above"),
+            *("finer_factor", "finest_threshold", "finer_cpu_seconds"),
+        )
         if self.finer_factor >= 1:
             raise BadConfig(f"convex.finer_factor must be below 1, not {self.finer_factor}")
         if self.max_vertices < 8:
@@ -169,7 +178,7 @@ class SurfaceConfig:
     the cracks between pieces, where no fingertip can be."""
 
     def __post_init__(self):
-        _positive(self, "points")
+        _check(self, "points")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,13 +188,14 @@ class SdfConfig:
     cells: int = 240
     """Cells on the diagonal of the bounding box at most (docs/measurements.md, 13)."""
     error: float = 0.0025
-    """A grid of half, 5/8, 3/4 or 7/8 as many cells is taken where interpolation near the surface
-    is nowhere off by more than this: thin walls get the fine grid, stout objects a coarse one."""
+    """A grid of half, 5/8, 3/4 or 7/8 as many cells is taken where interpolation is off by at most
+    this at 3000 points within 0.03 of the surface: thin walls get the fine grid, stout objects a
+    coarse one. The grid of all cells is the last answer, with a warning where it is off by more."""
     margin: float = 0.06
     """Room around the box, as a fraction of its longest side."""
 
     def __post_init__(self):
-        _positive(self, "cells", "error", "margin")
+        _check(self, "cells", "error", "margin")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -217,7 +227,7 @@ class RestConfig:
     """Poses kept, most probable first."""
 
     def __post_init__(self):
-        _positive(self, "drops", "drop_height", "seconds", "flat", "max_poses")
+        _check(self, "drops", "drop_height", "seconds", "flat", "max_poses")
         if self.drops % 24:
             raise BadConfig(f"rest.drops must be a multiple of 24, not {self.drops}")
 
@@ -245,7 +255,7 @@ class SelectConfig:
     sampled and turned copies and that of different objects, which `benchmarks/solids.py` prints."""
 
     def __post_init__(self):
-        _positive(self, "alike")
+        _check(self, "alike")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -262,6 +272,13 @@ class LimitsConfig:
     wall_seconds: float = 300.0
     """Wall-clock time per object [s]; above it the object is `timed_out`, a re-run tries again."""
 
+    def __post_init__(self):
+        _check(self, "memory_gib", "cpu_seconds", "wall_seconds")
+        for name, most in (("memory_gib", 2**20), ("cpu_seconds", 1e9), ("wall_seconds", 1e9)):
+            if getattr(self, name) > most:
+                value = getattr(self, name)
+                raise BadConfig(f"LimitsConfig.{name} must be at most {most:g}, not {value!r}")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PrepareConfig:
@@ -277,8 +294,15 @@ class PrepareConfig:
     limits: LimitsConfig = field(default_factory=LimitsConfig)
 
 
-def _positive(config: object, *names: str) -> None:
-    for name in names:
-        if getattr(config, name) <= 0:
-            value, kind = getattr(config, name), type(config).__name__
-            raise BadConfig(f"{kind}.{name} must be positive, not {value!r}")
+def _check(config: Any, *positive: str) -> None:
+    """Refuse numbers that are not finite or negative, and those named that are 0."""
+    kind = type(config).__name__
+    for name in (f.name for f in fields(config)):
+        value = getattr(config, name)
+        if not isinstance(value, int | float):
+            continue
+        if not math.isfinite(value):
+            raise BadConfig(f"{kind}.{name} must be finite, not {value!r}")
+        if value < 0 or (value == 0 and name in positive):
+            wanted = "positive" if name in positive else "0 or more"
+            raise BadConfig(f"{kind}.{name} must be {wanted}, not {value!r}")

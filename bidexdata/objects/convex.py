@@ -13,15 +13,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.closed import as_manifold, as_mesh, convex_hull, thinnest, union
-from bidexdata.objects.coacd_process import run_coacd
-from bidexdata.objects.config import ConvexConfig
-from bidexdata.objects.cuts import overlap_cuts
-from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.physics import mass_properties
-from bidexdata.objects.prepared import TriangleMesh
-from bidexdata.objects.trimmed import trimmed
 from bidexdata.record.status import Status
+
+from .closed import as_manifold, as_mesh, convex_hull, thinnest, union
+from .coacd_process import run_coacd
+from .config import ConvexConfig
+from .cuts import overlap_cuts
+from .failure import PrepareFailure
+from .physics import mass_properties
+from .prepared import TriangleMesh
+from .trimmed import trimmed
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -74,7 +75,8 @@ def decompose(mesh: TriangleMesh, config: ConvexConfig) -> Decomposition:
         if pieces:
             method = attempt.method
             if not out_of_time:
-                pieces, method = _finer(pieces, simple, mesh, attempt, config, warnings)
+                pieces, method, doubts = _finer(pieces, simple, mesh, attempt, config)
+                warnings += doubts
             return Decomposition(pieces, method, tuple(warnings))
         out_of_time = out_of_time or found.out_of_time
         warnings.append(f"{attempt.method} {found.reason or 'gave no piece with a volume'}")
@@ -127,13 +129,14 @@ def _finer(
     mesh: TriangleMesh,
     attempt: _Attempt,
     config: ConvexConfig,
-    warnings: list[str],
-) -> tuple[tuple[TriangleMesh, ...], str]:
+) -> Decomposition:
     """Search on with a lower threshold while pieces bridge gaps and more of them are allowed.
 
     Returns:
-        The pieces whose union is nearest to the mesh in volume, and the method that found them.
+        The pieces whose union is nearest to the mesh in volume, the method that found them, and a
+        warning where a search gave none.
     """
+    warnings: tuple[str, ...] = ()
     whole = abs(mass_properties(mesh).volume)
     best, method, ratio = pieces, attempt.method, _volume(pieces) / whole
     latest, threshold, seconds = pieces, attempt.options["threshold"], config.finer_cpu_seconds
@@ -144,12 +147,12 @@ def _finer(
         found = run_coacd(simple, {**attempt.options, "threshold": threshold}, seconds)
         latest = _solid_pieces(found.pieces, mesh, config)
         if not latest:
-            warnings.append(f"{_FINER} {found.reason or 'gave no piece with a volume'}")
+            warnings = (f"{_FINER} {found.reason or 'gave no piece with a volume'}",)
             break
         now = _volume(latest) / whole
         if abs(now - 1) < abs(ratio - 1):
             best, method, ratio = latest, _FINER, now
-    return best, method
+    return Decomposition(best, method, warnings)
 
 
 def _volume(pieces: tuple[TriangleMesh, ...]) -> float:

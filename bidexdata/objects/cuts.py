@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from bidexdata.objects.closed import as_mesh, convex_hull
-from bidexdata.objects.facets import facets
-from bidexdata.objects.mesh_queries import winding_distances
-from bidexdata.objects.prepared import TriangleMesh
+from .closed import as_mesh, convex_hull
+from .facets import facets
+from .mesh_queries import winding_distances
+from .prepared import TriangleMesh
 
 _COPLANAR = 0.05
 """Triangles of a piece whose normals differ by less [rad] are one facet."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.components import components, joined
-from bidexdata.objects.config import LoadConfig, RepairConfig
-from bidexdata.objects.loading import LoadedMesh, unit_mesh
-from bidexdata.objects.mesh_queries import distances
-from bidexdata.objects.physics import surface_area
-from bidexdata.objects.prepared import TriangleMesh
-from bidexdata.objects.weld import weld
+from .components import components, joined
+from .config import LoadConfig, RepairConfig
+from .loading import LoadedMesh, unit_mesh
+from .mesh_queries import distances
+from .physics import surface_area
+from .prepared import TriangleMesh
+from .weld import weld
 
 _SMALL = 1e-3
 """Share of the largest component's area that a piece of debris has at most."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bidexdata.objects.mesh_queries import distances, winding_distances
-from bidexdata.objects.prepared import TriangleMesh
-from bidexdata.objects.surface import sample_surface
+from .mesh_queries import distances, winding_distances
+from .prepared import TriangleMesh
+from .surface import sample_surface
 
 
 def hausdorff(a: TriangleMesh, b: TriangleMesh, samples: int) -> float:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from bidexdata.engine_log import engine_warnings_logged
 from bidexdata.frames import matrix_from_quat, quat_canonical, quat_from_rotation_vector
-from bidexdata.objects.prepared import TriangleMesh
+
+from .prepared import TriangleMesh
 
 if TYPE_CHECKING:
     import mujoco

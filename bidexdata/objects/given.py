@@ -12,17 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bidexdata.objects.closed import as_mesh, convex_hull, thinnest
-from bidexdata.objects.components import compact, joined
-from bidexdata.objects.config import LoadConfig
-from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.loading import file_mesh, unit_mesh
-from bidexdata.objects.physics import mass_properties
-from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.readers import read_content
 from bidexdata.objects.readers.inside import regular_bytes
 from bidexdata.objects.sources.item import SourceItem
 from bidexdata.record.status import Status
+
+from .closed import as_mesh, convex_hull, thinnest
+from .components import compact, joined
+from .config import LoadConfig
+from .failure import PrepareFailure
+from .loading import file_mesh, unit_mesh
+from .physics import mass_properties
+from .prepared import TriangleMesh
 
 _CONVEX = 0.97
 """Share of its hull that a piece fills. Measured: 0.999999 and more for all 74 pieces of six
@@ -62,14 +63,15 @@ def given_pieces(item: SourceItem, config: LoadConfig) -> GivenPieces:
     warnings = []
     if len(solid) < len(raw):
         warnings.append(f"{len(raw) - len(solid)} of {len(raw)} given pieces are flat: left out")
+    shown, doubts = _shown(item.shown, config)
     hulls = [as_mesh(convex_hull(p.vertices)) for p in solid]
     return GivenPieces(
         pieces=tuple(hulls),
         whole=joined(raw),
         radius=float(np.linalg.norm(corners, axis=1).max()),
-        shown=_shown(item.shown, config, warnings),
+        shown=shown,
         not_convex=sum(not _fills(p, h) for p, h in zip(solid, hulls, strict=True)),
-        warnings=tuple(warnings),
+        warnings=(*warnings, *doubts),
     )
 
 
@@ -95,11 +97,11 @@ def _fills(piece: TriangleMesh, hull: TriangleMesh) -> bool:
     return abs(mass_properties(piece).volume) >= _CONVEX * mass_properties(hull).volume
 
 
-def _shown(path: Path | None, config: LoadConfig, warnings: list[str]) -> TriangleMesh | None:
+def _shown(path: Path | None, config: LoadConfig) -> tuple[TriangleMesh | None, tuple[str, ...]]:
+    """The mesh to show, and why the one that the source has is not shown."""
     if path is None:
-        return None
+        return None, ()
     try:
-        return file_mesh(path, config)
+        return file_mesh(path, config), ()
     except PrepareFailure as failure:
-        warnings.append(f"{path.name} is not shown: {failure.reason}")
-        return None
+        return None, (f"{path.name} is not shown: {failure.reason}",)

@@ -12,7 +12,8 @@ import struct
 import numpy as np
 
 from bidexdata.errors import Contradiction
-from bidexdata.objects.prepared import TriangleMesh
+
+from .prepared import TriangleMesh
 
 _FLOAT, _UNSIGNED = 5126, 5125
 _HALF = float(np.sqrt(0.5))

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.physics import surface_area
-from bidexdata.objects.polygons import triangulated
-from bidexdata.objects.prepared import TriangleMesh
+from .physics import surface_area
+from .polygons import triangulated
+from .prepared import TriangleMesh
 
 
 class Filled(NamedTuple):

@@ -10,13 +10,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
-from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.readers.gltf import named_buffers
 from bidexdata.objects.readers.inside import beside, regular_blocks, regular_size
 from bidexdata.objects.sources import SourceItem
 from bidexdata.objects.sources.shapes import shape_bytes
 from bidexdata.record.status import Status
 from bidexdata.wording import counted
+
+from .failure import PrepareFailure
 
 _GENERIC = frozenset(
     {
@@ -52,7 +53,7 @@ def source_identity(item: SourceItem, most: int) -> Identity:
     if item.problem:
         raise PrepareFailure(Status.UNREADABLE, item.problem)
     assert item.path is not None
-    _check_there(item.path)
+    _check_there(item, item.path)
     if item.pieces:
         shown = () if item.shown is None else (item.shown,)
         named = [(p.relative_to(item.path).as_posix(), p) for p in (*item.pieces, *shown)]
@@ -96,11 +97,12 @@ def named_id(name: str, sha256: str) -> str:
     return f"{slug}-{sha256[:8]}"
 
 
-def _check_there(path: Path) -> None:
+def _check_there(item: SourceItem, path: Path) -> None:
     try:
         os.stat(path)
     except (FileNotFoundError, NotADirectoryError, ValueError) as err:  # ValueError: a NUL
-        said = "the paths of a list start at the list's own folder"
+        missing = Path(*path.parts[-2:]).as_posix()
+        said = "the paths of a list start at the list's own folder" if item.listed else missing
         raise PrepareFailure(Status.NO_FILE, said) from err
     except OSError as err:
         raise PrepareFailure(Status.UNREADABLE, err.strerror or type(err).__name__) from err

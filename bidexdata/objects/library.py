@@ -12,13 +12,10 @@ from typing import TYPE_CHECKING, Any
 from bidexdata.config import canonical_json, fingerprint
 from bidexdata.errors import Contradiction, NotUsable, UnknownName
 from bidexdata.kinds import INDEX, expect_kind
-from bidexdata.objects.prepared import PreparedObject, Solid
-from bidexdata.objects.storage import OBJECT_FILES, SCHEMA_VERSION
-from bidexdata.objects.storage import read_object as read_object
-from bidexdata.objects.storage import read_solid as read_solid
-from bidexdata.objects.storage import write_object as write_object
-from bidexdata.objects.storage import write_solid as write_solid
 from bidexdata.record.status import Status
+
+from .prepared import PreparedObject, Solid
+from .storage import OBJECT_FILES, SCHEMA_VERSION, read_object, read_solid
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -63,6 +60,10 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
 """Columns of the index: name, type, meaning. A failed input has nulls where nothing is known."""
 
 
+_NEEDED = ("source_name", "object_id", "status", "status_label", "reason", "content_sha256")
+"""Columns without which an index says nothing; others are null where a version has none."""
+_VERSION = "schema_version"
+"""Key of the index's metadata: another major version cannot be read."""
 ASKED = "asked"
 """Key of the index's metadata: the same inputs asked for so give the same failures again."""
 LEFT_OUT = (Status.DUPLICATE, Status.NOT_SELECTED, Status.NEAR_DUPLICATE)
@@ -91,7 +92,7 @@ class Library:
         Raises:
             PathNotFound: There is no library at `path`.
             NotUsable: `prepare` has not finished it.
-            Contradiction: Its index is damaged.
+            Contradiction: Its index is damaged, or of another major version.
         """
         path = Path(path)
         expect_kind(path, "library")
@@ -105,7 +106,7 @@ class Library:
     @property
     def fingerprint(self) -> str:
         """Hash of every object's identity and contents; equal libraries have equal ones."""
-        return fingerprint([[i, self._rows[i]["content_sha256"]] for i in sorted(self._rows)])
+        return library_fingerprint({i: r["content_sha256"] for i, r in self._rows.items()})
 
     def row(self, object_id: str) -> dict[str, Any]:
         """The index row of a prepared object.
@@ -148,6 +149,11 @@ class Library:
                 "delete the folder and run `bidexdata prepare` again"
             )
         return folder
+
+
+def library_fingerprint(contents: Mapping[str, str]) -> str:
+    """Hash the prepared objects of a library: object_id -> `content_sha256`."""
+    return fingerprint([[i, contents[i]] for i in sorted(contents)])
 
 
 def warnings_of(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
@@ -217,6 +223,23 @@ def write_index(
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    metadata = {
+        _VERSION: SCHEMA_VERSION,
+        "prepare_config": canonical_json(config),
+        ASKED: canonical_json(config if asked is None else asked),
+    }
+    schema = _schema().with_metadata(metadata)
+    plain = [{name: row.get(name) for name, _, _ in COLUMNS} for row in rows]
+    library.mkdir(parents=True, exist_ok=True)
+    partial = library / f".{INDEX}.{socket.gethostname()}.{os.getpid()}.partial"
+    pq.write_table(pa.Table.from_pylist(plain, schema=schema), partial, compression="zstd")
+    partial.replace(library / INDEX)
+
+
+def _schema() -> pa.Schema:
+    """Columns of the index with their meanings."""
+    import pyarrow as pa
+
     types = {
         "string": pa.string(),
         "int8": pa.int8(),
@@ -224,20 +247,9 @@ def write_index(
         "float64": pa.float64(),
         "list<string>": pa.list_(pa.string()),
     }
-    fields = [
+    return pa.schema(
         pa.field(name, types[kind], metadata={"description": text}) for name, kind, text in COLUMNS
-    ]
-    metadata = {
-        "schema_version": SCHEMA_VERSION,
-        "prepare_config": canonical_json(config),
-        ASKED: canonical_json(config if asked is None else asked),
-    }
-    schema = pa.schema(fields, metadata=metadata)
-    plain = [{name: row.get(name) for name, _, _ in COLUMNS} for row in rows]
-    library.mkdir(parents=True, exist_ok=True)
-    partial = library / f".{INDEX}.{socket.gethostname()}.{os.getpid()}.partial"
-    pq.write_table(pa.Table.from_pylist(plain, schema=schema), partial, compression="zstd")
-    partial.replace(library / INDEX)
+    )
 
 
 def _read_index(path: Path) -> pa.Table:
@@ -246,9 +258,23 @@ def _read_index(path: Path) -> pa.Table:
 
     try:
         table = pq.read_table(path)
-    except (pa.ArrowException, OSError) as err:
+        version = ((table.schema.metadata or {}).get(_VERSION.encode()) or b"").decode()
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as err:
         raise Contradiction(f"{path} is damaged ({type(err).__name__})") from err
-    missing = [name for name, _, _ in COLUMNS if name not in table.column_names]
-    if missing:
-        raise Contradiction(f"{path} has no column {missing[0]!r}")
-    return table
+    major, ours = version.partition(".")[0], SCHEMA_VERSION.partition(".")[0]
+    if major != ours:
+        newer = major.isdecimal() and int(major) > int(ours)
+        raise Contradiction(
+            f"{path} has schema version {version or 'none'}, this version reads {SCHEMA_VERSION}; "
+            + ("upgrade bidexdata to read it" if newer else "prepare the library again")
+        )
+    lost = next((name for name in _NEEDED if name not in table.column_names), None)
+    if lost is not None:
+        raise Contradiction(f"{path} has no column {lost!r}")
+    # Another minor version has columns less, which nobody knows, or more, which stay.
+    schema = _schema()
+    for field in schema:
+        if field.name not in table.column_names:
+            table = table.append_column(field, pa.nulls(table.num_rows, field.type))
+    more = [name for name in table.column_names if name not in schema.names]
+    return table.select([*schema.names, *more])

@@ -9,14 +9,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.config import LoadConfig
-from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.readers import SUFFIXES as SUFFIXES
 from bidexdata.objects.readers import read_content
 from bidexdata.objects.readers.content import check_faces, unreadable
 from bidexdata.objects.readers.inside import regular_bytes
 from bidexdata.record.status import Status
+
+from .config import LoadConfig
+from .failure import PrepareFailure
+from .prepared import TriangleMesh
 
 _COARSE = 1e-4
 """Step between neighbouring numbers above which fine detail is lost: that of the looser weld."""

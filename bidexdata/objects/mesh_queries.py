@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.devices import start_warp
-from bidexdata.objects.prepared import TriangleMesh
+
+from .prepared import TriangleMesh
 
 _DEVICE = "cpu"
 _FARTHEST = 1e3
@@ -26,7 +27,7 @@ def distances(
     """Find the closest surface points (P, 3) and the unsigned distances (P,) of points (P, 3)."""
     import warp as wp
 
-    from bidexdata.objects import mesh_queries_kernels as kernels
+    from . import mesh_queries_kernels as kernels
 
     points = np.ascontiguousarray(points, np.float32)
     closest = np.zeros_like(points)
@@ -51,7 +52,7 @@ def winding_distances(mesh: TriangleMesh, points: NDArray[np.floating]) -> NDArr
     """
     import warp as wp
 
-    from bidexdata.objects import mesh_queries_kernels as kernels
+    from . import mesh_queries_kernels as kernels
 
     points = np.ascontiguousarray(points, np.float32)
     distance = np.zeros(len(points), np.float32)
@@ -76,7 +77,7 @@ def faces_wall(
     """Tell which rays (P, 3) from points (P, 3) hit the mesh before `max_distance`."""
     import warp as wp
 
-    from bidexdata.objects import mesh_queries_kernels as kernels
+    from . import mesh_queries_kernels as kernels
 
     hit = np.zeros(len(points), np.uint8)
     if len(points):
@@ -116,7 +117,7 @@ def nodes_inside(
     """
     import warp as wp
 
-    from bidexdata.objects import mesh_queries_kernels as kernels
+    from . import mesh_queries_kernels as kernels
 
     start_warp()
     first = np.concatenate([[0], np.cumsum([len(p) for p in planes])]).astype(np.int32)
@@ -160,7 +161,7 @@ def donated_distances(
     """
     import warp as wp
 
-    from bidexdata.objects import mesh_queries_kernels as kernels
+    from . import mesh_queries_kernels as kernels
 
     start_warp()
     distance = np.zeros(donor.shape, np.float32)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.prepared import TriangleMesh
+from .prepared import TriangleMesh
 
 
 class MassProperties(NamedTuple):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bidexdata.objects.closed import as_mesh, convex_hull, principal_axes
-from bidexdata.objects.prepared import TriangleMesh
+from .closed import as_mesh, convex_hull, principal_axes
+from .prepared import TriangleMesh
 
 
 def thickened(mesh: TriangleMesh, least: float) -> TriangleMesh:

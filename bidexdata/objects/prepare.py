@@ -12,27 +12,28 @@ from typing import Any
 
 import numpy as np
 
-from bidexdata.errors import PathNotFound
-from bidexdata.objects.assemble import UnitSolid, assembled, unit_solid
-from bidexdata.objects.closed import as_manifold
-from bidexdata.objects.config import PrepareConfig
-from bidexdata.objects.convex import Decomposition, decompose
-from bidexdata.objects.debris import without_debris
-from bidexdata.objects.deviation import hausdorff
-from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.given import GivenPieces, given_pieces
-from bidexdata.objects.identity import Identity, identity_of, object_id_of, source_identity
-from bidexdata.objects.loading import LoadedMesh, load_mesh, unit_mesh
-from bidexdata.objects.physics import mass_properties
-from bidexdata.objects.prepared import PreparedObject, TriangleMesh
+from bidexdata.errors import NotUsable, PathNotFound
 from bidexdata.objects.readers.inside import regular_bytes
-from bidexdata.objects.repair import Repaired, repair
-from bidexdata.objects.selection import outside
 from bidexdata.objects.sources import SourceItem
 from bidexdata.objects.sources.shapes import shape_mesh
-from bidexdata.objects.traits import mesh_hash, traits
 from bidexdata.record.status import Status
 from bidexdata.wording import counted
+
+from .assemble import UnitSolid, assembled, unit_solid
+from .closed import as_manifold
+from .config import PrepareConfig
+from .convex import Decomposition, decompose
+from .debris import without_debris
+from .deviation import hausdorff
+from .failure import PrepareFailure
+from .given import GivenPieces, given_pieces
+from .identity import Identity, identity_of, object_id_of, source_identity
+from .loading import LoadedMesh, load_mesh, unit_mesh
+from .physics import mass_properties
+from .prepared import PreparedObject, TriangleMesh
+from .repair import Repaired, repair
+from .selection import outside
+from .traits import mesh_hash, traits
 
 VOLUME_DOUBT = 0.25
 """Relative difference between the volumes of pieces and mesh above which a warning says so."""
@@ -45,7 +46,7 @@ def prepare_object(
 
     Args:
         source: A mesh file, `shapes:FAMILY` or `shapes:FAMILY/NUMBER`, triangles (any unit, z
-            up), or an item that `resolve_sources` listed.
+            up), or an item that `resolve_sources` listed (and `fetched` completed).
         config: Every tolerance and bound; the defaults when omitted.
 
     Returns:
@@ -54,6 +55,7 @@ def prepare_object(
     Raises:
         PrepareFailure: The source cannot become a solid; `.status` and `.reason` say why.
         PathNotFound: A named file does not exist.
+        NotUsable: The item is one of Objaverse whose file `fetched` has not brought.
 
     Example:
         >>> obj = prepare_object("shapes:box")
@@ -249,6 +251,11 @@ def _item_and_identity(
         item = SourceItem(source_name="triangles", path=Path("triangles"))
         return item, identity_of([corners, faces])
     if isinstance(source, SourceItem):
+        if source.uid and source.path is None and not source.problem:
+            raise NotUsable(
+                f"{source.source_name} has no file yet; call bidexdata.objects.sources.fetched on the "
+                "items of resolve_sources first"
+            )
         return source, source_identity(source, most)
     text = str(source)
     if text.startswith("shapes:") and not Path(text).exists():

@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.devices import start_warp
-from bidexdata.objects.closed import as_manifold, as_mesh, union
-from bidexdata.objects.config import RepairConfig
-from bidexdata.objects.mesh_queries import distances, winding_distances
-from bidexdata.objects.physics import face_areas, mass_properties
-from bidexdata.objects.prepared import TriangleMesh
-from bidexdata.objects.weld import weld
+
+from .closed import as_manifold, as_mesh, union
+from .config import RepairConfig
+from .mesh_queries import distances, winding_distances
+from .physics import face_areas, mass_properties
+from .prepared import TriangleMesh
+from .weld import weld
 
 _MANY = 200_000
 """Faces above which a mesh is thinned out to what its finest grid can tell apart."""

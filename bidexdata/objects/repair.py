@@ -16,20 +16,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bidexdata.objects.closed import as_manifold, convex_hull, thinnest
-from bidexdata.objects.components import components, joined, oriented, without_double_faces
-from bidexdata.objects.config import RepairConfig
-from bidexdata.objects.deviation import hausdorff
-from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.holes import Filled, filled, is_closed
-from bidexdata.objects.physics import mass_properties, surface_area, thickness
-from bidexdata.objects.plates import thickened
-from bidexdata.objects.prepared import TriangleMesh
-from bidexdata.objects.remesh import remesh
-from bidexdata.objects.solids import Closed, is_sheet, one_solid, united
-from bidexdata.objects.weld import weld
 from bidexdata.record.status import Status
 from bidexdata.wording import counted
+
+from .closed import as_manifold, convex_hull, thinnest
+from .components import components, joined, oriented, without_double_faces
+from .config import RepairConfig
+from .deviation import hausdorff
+from .failure import PrepareFailure
+from .holes import Filled, filled, is_closed
+from .physics import mass_properties, surface_area, thickness
+from .plates import thickened
+from .prepared import TriangleMesh
+from .remesh import remesh
+from .solids import Closed, is_sheet, one_solid, united
+from .weld import weld
 
 _FLAT = 1e-6
 """Thickness below which a mesh of unit diagonal is a drawing in a plane."""

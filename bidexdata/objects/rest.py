@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.config import RestConfig
-from bidexdata.objects.drops import Body, drop, facing_down, spread_directions
-from bidexdata.objects.facets import Facets, adjacency, facets
-from bidexdata.objects.physics import solid_angles
-from bidexdata.objects.prepared import TriangleMesh
+from .config import RestConfig
+from .drops import Body, drop, facing_down, spread_directions
+from .facets import Facets, adjacency, facets
+from .physics import solid_angles
+from .prepared import TriangleMesh
 
 
 class RestPoses(NamedTuple):

@@ -11,14 +11,15 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.config import SdfConfig
-from bidexdata.objects.mesh_queries import distances, donated_distances, nodes_inside
-from bidexdata.objects.prepared import SignedDistanceGrid, TriangleMesh
-from bidexdata.objects.surface import sample_surface
+from .config import SdfConfig
+from .mesh_queries import distances, donated_distances, nodes_inside
+from .prepared import SignedDistanceGrid, TriangleMesh
+from .surface import sample_surface
 
 _LADDER = (0.5, 0.625, 0.75, 0.875, 1.0)
 """Shares of the finest grid's cells."""
@@ -75,6 +76,30 @@ def signed_distance_grid(
     return SignedDistanceGrid(values.astype(np.float32), origin, cell)
 
 
+def grid_warnings(
+    solid: TriangleMesh,
+    pieces: Sequence[TriangleMesh],
+    grid: SignedDistanceGrid,
+    config: SdfConfig,
+) -> tuple[str, ...]:
+    """Warn of a grid that is the finest one and not as exact as it should be.
+
+    Args:
+        solid: As in `signed_distance_grid`, likewise the pieces.
+        pieces: The convex pieces.
+        grid: What that gave.
+        config: What it was given.
+    """
+    diagonal = _diagonal(solid)
+    if grid.cell > _cell_of(diagonal, _LADDER[-1], config):
+        return ()
+    error = _Trial.of(solid, pieces).error(grid.origin, grid.cell) / diagonal
+    if error <= config.error:
+        return ()
+    text = f"signed distances near the surface are off by up to {error:.2%} of the diagonal"
+    return (f"{text} on the finest grid, of {config.cells} cells; sdf.error is {config.error:.2%}",)
+
+
 def exact_distances(
     solid: TriangleMesh, pieces: Sequence[TriangleMesh], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -98,27 +123,49 @@ def _coarsest_cell(
     """Largest cell on the ladder with which interpolation near the surface is exact enough.
 
     Tried on points near the surface, from exact distances at the corners of their cells, before
-    any grid is made.
+    any grid is made. The smallest cell is taken untried (`grid_warnings` tries it).
     """
-    diagonal = float(np.linalg.norm(np.ptp(solid.vertices, axis=0)))
-    points = _near_points(solid, _NEAR * diagonal)
-    exact = exact_distances(solid, pieces, points)
-
-    def cell_of(rung: int) -> float:
-        return float(np.float32(diagonal / (_LADDER[rung] * config.cells)))
-
+    diagonal = _diagonal(solid)
+    trial = _Trial.of(solid, pieces)
     # A finer grid is taken to be more exact, so halving the ladder finds the rung.
     low, high = 0, len(_LADDER) - 1
     while low < high:
         middle = (low + high) // 2
-        nodes, weights = _corners(points, origin, cell_of(middle))
-        values = exact_distances(solid, pieces, nodes.reshape(-1, 3)).reshape(weights.shape)
-        error = np.abs((weights * values).sum(axis=0) - exact).max()
-        if error <= config.error * diagonal:
+        cell = _cell_of(diagonal, _LADDER[middle], config)
+        if trial.error(origin, cell) <= config.error * diagonal:
             high = middle
         else:
             low = middle + 1
-    return cell_of(high)
+    return _cell_of(diagonal, _LADDER[high], config)
+
+
+def _cell_of(diagonal: float, share: float, config: SdfConfig) -> float:
+    return float(np.float32(diagonal / (share * config.cells)))
+
+
+def _diagonal(solid: TriangleMesh) -> float:
+    return float(np.linalg.norm(np.ptp(solid.vertices, axis=0)))
+
+
+class _Trial(NamedTuple):
+    """Points near the surface of a solid, on which the interpolation in a grid is tried."""
+
+    solid: TriangleMesh
+    pieces: Sequence[TriangleMesh]
+    points: NDArray[np.float64]
+    exact: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, solid: TriangleMesh, pieces: Sequence[TriangleMesh]) -> _Trial:
+        points = _near_points(solid, _NEAR * _diagonal(solid))
+        return cls(solid, pieces, points, exact_distances(solid, pieces, points))
+
+    def error(self, origin: NDArray[np.float64], cell: float) -> float:
+        """Largest error at the points."""
+        nodes, weights = _corners(self.points, origin, cell)
+        values = exact_distances(self.solid, self.pieces, nodes.reshape(-1, 3))
+        found = (weights * values.reshape(weights.shape)).sum(axis=0)
+        return float(np.abs(found - self.exact).max())
 
 
 def _near_points(solid: TriangleMesh, reach: float) -> NDArray[np.float64]:

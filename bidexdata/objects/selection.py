@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from bidexdata.objects.config import SelectConfig
-from bidexdata.objects.traits import unlikeness
+from .config import SelectConfig
+from .traits import unlikeness
 
 _MOST = ("aspect", "components", "genus")
 _LEAST = ("thickness",)

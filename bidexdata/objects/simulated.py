@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.record.status import Status
+
+from .failure import PrepareFailure
+from .prepared import TriangleMesh
 
 _SMALLEST = 0.01
 """Smallest bounding-box diagonal that `synth` takes [m]: MuJoCo refuses what is too small."""

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from bidexdata.objects.closed import as_manifold, as_mesh, union
-from bidexdata.objects.config import RepairConfig
-from bidexdata.objects.physics import solid_angles, thickness
-from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.wording import counted
+
+from .closed import as_manifold, as_mesh, union
+from .config import RepairConfig
+from .physics import solid_angles, thickness
+from .prepared import TriangleMesh
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

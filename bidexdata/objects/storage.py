@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from bidexdata.config import to_plain
 from bidexdata.errors import Contradiction, PathNotFound
-from bidexdata.objects.glb import read_glb, write_glb
-from bidexdata.objects.prepared import PreparedObject, SignedDistanceGrid, Solid, TriangleMesh
+
+from .glb import read_glb, write_glb
+from .prepared import PreparedObject, SignedDistanceGrid, Solid, TriangleMesh
 
 SCHEMA_VERSION = "1.0"
 """Version of the folder's files; another major version cannot be read."""

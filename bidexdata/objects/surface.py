@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.config import SurfaceConfig
-from bidexdata.objects.mesh_queries import faces_wall
-from bidexdata.objects.physics import face_areas
-from bidexdata.objects.prepared import TriangleMesh
+from .config import SurfaceConfig
+from .mesh_queries import faces_wall
+from .physics import face_areas
+from .prepared import TriangleMesh
 
 _LIFT = 1e-5
 """How far a ray starts off the surface, so that it does not hit its own face."""

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.components import components
-from bidexdata.objects.physics import mass_properties, thickness
-from bidexdata.objects.prepared import TriangleMesh
+from .components import components
+from .physics import mass_properties, thickness
+from .prepared import TriangleMesh
 
 DESCRIPTOR_POINTS = 1000
 """Points whose distances make the descriptor: 499,500 pairs."""

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bidexdata.objects.closed import as_mesh, convex_hull, union
-from bidexdata.objects.prepared import TriangleMesh
+from .closed import as_mesh, convex_hull, union
+from .prepared import TriangleMesh
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

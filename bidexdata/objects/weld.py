@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.prepared import TriangleMesh
+from .prepared import TriangleMesh
 
 _CROWDED = 4
 """Faces per vertex above which there must be copies: a closed mesh has about two."""

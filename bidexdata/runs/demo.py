@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 from bidexdata.errors import NotUsable
 from bidexdata.kinds import kind_of
 from bidexdata.runs.pack import PackReport, pack_runs
-from bidexdata.runs.prepare import PrepareReport, prepare_library
+from bidexdata.runs.prepare import prepare_library
+from bidexdata.runs.prepare_report import PrepareReport
 from bidexdata.runs.render import RenderReport, render
 from bidexdata.runs.run import Run
 from bidexdata.runs.stage import StageReport, TaskExecution

@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeVar
 
 from bidexdata.errors import BadValue, MissingExtra, UnknownName
 from bidexdata.runs.boundary import Raised, call_task, describe
-from bidexdata.runs.workers import THREAD_VARIABLES, WorkerPool, usable_cores
+from bidexdata.runs.workers import THREAD_VARIABLES, Outcome, WorkerPool, usable_cores
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -33,6 +33,8 @@ class TaskFailure:
     kind: Literal["exception", "died", "timeout"] = "exception"
     details: str = ""
     """The traceback, where there is one."""
+    signal: str = ""
+    """Name of the signal that the worker died of, where it is known."""
 
 
 def run_tasks(
@@ -103,7 +105,12 @@ def _run_processes(
             if outcome.kind == "done":
                 yield task, outcome.value
             else:
-                yield task, TaskFailure(task, outcome.reason, outcome.kind, outcome.details)
+                yield task, _failure(task, outcome)
+
+
+def _failure(task: Any, outcome: Outcome) -> TaskFailure:
+    assert outcome.kind != "done"
+    return TaskFailure(task, outcome.reason, outcome.kind, outcome.details, outcome.signal)
 
 
 def _run_ray(

@@ -3,7 +3,8 @@
 Three passes, each by worker processes: every file is read once (which can be used, of which
 object), the objects are made, the rows of each object are written as one shard. `run.json` is
 written between the second and the third: it names the library, and the rows' ids depend on it.
-A command that was stopped goes on; what is there already and made of the same bytes is kept.
+A command that was stopped goes on; what is there already and made of the same bytes is kept. From
+`run.json` on the library stays what it is: an object that failed is not tried again.
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from bidexdata.config import differing_keys, fingerprint
-from bidexdata.errors import ConfigConflict, NotUsable, PathNotFound
+from bidexdata.errors import BidexError, ConfigConflict, NotUsable, PathNotFound
 from bidexdata.kinds import RUN_FILE
 from bidexdata.objects.library import Library
 from bidexdata.objects.storage import read_document
 from bidexdata.record import Status
 from bidexdata.record.scene import Setting, setting_of
-from bidexdata.runs.import_objects import find_objects, make_objects
+from bidexdata.runs.import_objects import find_objects, make_objects, read_begun
 from bidexdata.runs.import_scan import (
     FILES,
     MEMORY_GIB,
@@ -36,7 +37,7 @@ from bidexdata.runs.import_scan import (
 )
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.made_with import package_versions
-from bidexdata.runs.plan import Task, write_plan
+from bidexdata.runs.plan import Task, read_plan, write_plan
 from bidexdata.runs.run import PLAN_FILE, Run, open_unchanged, refuse_foreign
 from bidexdata.runs.shards import done_tasks, shard_path, sweep, write_shard
 from bidexdata.runs.spec import (
@@ -121,6 +122,7 @@ def import_run(
         PathNotFound: There is no such folder.
         NotUsable: The folder holds no file of the format, or the hand has other joints.
         ConfigConflict: `out` is a run of something else.
+        Contradiction: `out` is this run, and its library is damaged beyond repair.
     """
     from bidexdata.formats.importers import load_format
     from bidexdata.formats.importers.rows import joint_orders
@@ -139,7 +141,10 @@ def import_run(
     asked = _asked(form, request, out, files, sources, hands)
     if old is not None:
         _refuse_other(out, old, asked)  # before anything is written into the run's library
-    files, index = make_objects(form, files, sources, out / LIBRARY, execution)
+    begun = (
+        None if old is None else read_begun(out / LIBRARY, _planned(out), old.source_fingerprint)
+    )
+    files, index = make_objects(form, files, sources, out / LIBRARY, execution, begun)
     if not any(f.rows for f in files):
         taken = {"files": tuple(files), "objects": tuple(index)}
         return ImportReport(run=out, **taken, seconds=time.monotonic() - start)
@@ -218,6 +223,14 @@ def _refuse_other(out: Path, old: RunSpec, asked: RunSpec) -> None:
     differing = differing_keys(old.identity(), wanted.identity())
     if differing:
         raise ConfigConflict(out, differing)
+
+
+def _planned(out: Path) -> set[str] | None:
+    """Objects of the plan; None where it is gone or damaged."""
+    try:
+        return {task.object_id for task in read_plan(out / PLAN_FILE)}
+    except BidexError:
+        return None
 
 
 def _start(

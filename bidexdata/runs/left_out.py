@@ -12,9 +12,15 @@ from bidexdata.record.status import Status
 from bidexdata.runs.prepare_parts import Row
 
 
-def reason_row(status: Status, reason: str) -> Row:
-    """The columns of the index that say what became of an input."""
-    text = reason and f"{status.sentence}: {reason}"
+def reason_row(status: Status, reason: str, sentence: str = "") -> Row:
+    """The columns of the index that say what became of an input.
+
+    Args:
+        status: What.
+        reason: Why, with figures.
+        sentence: What in a sentence, where that of the status does not fit.
+    """
+    text = reason and f"{sentence or status.sentence}: {reason}"
     return {"status": int(status), "status_label": status.label, "reason": text}
 
 

@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection, wait
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from bidexdata.errors import NotUsable
 from bidexdata.runs.boundary import Raised, call_task
@@ -53,6 +53,15 @@ class Outcome:
     value: Any = None
     reason: str = ""
     details: str = ""
+    signal: str = ""
+    """Name of the signal that the worker died of."""
+
+
+class _Death(NamedTuple):
+    """How a worker died."""
+
+    reason: str
+    signal: str = ""
 
 
 class _Worker:
@@ -83,15 +92,16 @@ class _Worker:
             self.process.kill()
             self.process.join()
 
-    def death(self) -> str:
+    def death(self) -> _Death:
         self.process.join(GRACE)
         code = self.process.exitcode
         if code is not None and code < 0:
             try:
-                return f"the worker died ({signal.Signals(-code).name})"
+                name = signal.Signals(-code).name
             except ValueError:
-                return f"the worker died (signal {-code})"
-        return f"the worker died (exit code {code})"
+                return _Death(f"the worker died (signal {-code})")
+            return _Death(f"the worker died ({name})", name)
+        return _Death(f"the worker died (exit code {code})")
 
 
 class WorkerPool:
@@ -167,15 +177,17 @@ class WorkerPool:
         return found
 
     def _bury(self, worker: _Worker) -> list[Outcome]:
-        reason = worker.death()
+        death = worker.death()
         worker.end()
         self._workers.remove(worker)
         if not worker.ready:
             raise NotUsable(
-                f"a worker process could not start ({reason}); a script that starts workers needs "
+                f"a worker process could not start ({death.reason}); a script that starts workers needs "
                 'an `if __name__ == "__main__":` line around its calls, or executor="inline"'
             )
-        return [] if worker.task is None else [Outcome(worker.task, "died", reason=reason)]
+        if worker.task is None:
+            return []
+        return [Outcome(worker.task, "died", reason=death.reason, signal=death.signal)]
 
     def _overdue(self, timeout: float) -> list[Outcome]:
         found = []

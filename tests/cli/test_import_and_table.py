@@ -99,6 +99,12 @@ def test_nothing_imported_gives_6_with_the_reasons(bench, tmp_path, capsys):
     assert "has no urdf/meshes" in out
     assert err.splitlines()[-1].startswith("error: not one grasp of")
     assert not (tmp_path / "run").exists()
+    for k in range(12):
+        (moved / "graspdata" / f"more{k}.npy").write_bytes(b"nothing")
+    assert run(importing(moved, tmp_path / "run", *more)) == 6
+    out = capsys.readouterr().out
+    assert "more files: --json\n" in out
+    assert "files.parquet" not in out
     assert run(importing(moved, tmp_path / "run", "--objects", str(bench / "objects"))) == 0
 
 

@@ -29,7 +29,7 @@ from bidexdata.objects.config import PrepareConfig, SdfConfig, SurfaceConfig
 from bidexdata.objects.failure import PrepareFailure
 
 FORM = load_format("dexgraspbench")
-CONFIG = PrepareConfig(surface=SurfaceConfig(points=200), sdf=SdfConfig(cells=16))
+CONFIG = PrepareConfig(surface=SurfaceConfig(points=200), sdf=SdfConfig(cells=16, error=1.0))
 FLOAT32 = 1e-6  # metres; poses are stored in it
 NAME = "Two_Boxes"
 

@@ -118,7 +118,9 @@ CUBE = box((0, 0, 0), (1, 1, 1))
 
 
 def made(pieces, shown=None, **changes):
-    config = replace(PrepareConfig(), sdf=SdfConfig(cells=24), surface=SurfaceConfig(points=50))
+    config = replace(
+        PrepareConfig(), sdf=SdfConfig(cells=24, error=1.0), surface=SurfaceConfig(points=50)
+    )
     solid = unit_solid(pieces)
     return assembled("x", solid, shown or solid.mesh, {}, replace(config, **changes))
 

@@ -17,7 +17,8 @@ from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.readers import inside
 from bidexdata.objects.sources import SourceItem, resolve_sources
 from bidexdata.record.status import Status
-from bidexdata.runs.prepare import PrepareReport, prepare_library
+from bidexdata.runs.prepare import prepare_library
+from bidexdata.runs.prepare_report import PrepareReport
 
 MOST = 10**6
 

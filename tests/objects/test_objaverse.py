@@ -19,6 +19,7 @@ import pytest
 
 from bidexdata.errors import BadValue, MissingExtra, NotUsable, PathNotFound, UnknownName
 from bidexdata.objects.library import Library
+from bidexdata.objects.prepare import prepare_object
 from bidexdata.objects.sources import fetched, resolve_sources
 from bidexdata.runs.prepare import prepare_library
 
@@ -187,6 +188,15 @@ def test_real_files_in_the_cache_are_prepared(cache, tmp_path, small, shared):
     report = prepare_library(["objaverse:lvis=mug"], tmp_path / "lib", small, **options)
     assert (report.prepared, report.hulls) == (2, 0)
     assert {r["licence"] for r in report.rows} == {"CC-BY-4.0", "CC-BY-NC-SA-4.0"}
+
+
+def test_an_item_without_its_file_says_what_to_call(cache, tmp_path, small):
+    listed = tmp_path / "uids.txt"
+    listed.write_text(UIDS[0])
+    (item,) = resolve_sources([f"objaverse:uids={listed}"])
+    with pytest.raises(NotUsable, match="fetched"):
+        prepare_object(item, small)
+    assert prepare_object(*fetched([item]), small).volume > 0
 
 
 def test_only_what_the_limit_leaves_is_fetched(cache, tmp_path, small):

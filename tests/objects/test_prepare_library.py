@@ -26,7 +26,9 @@ from bidexdata.objects.config import (
 from bidexdata.objects.library import Library
 from bidexdata.record.status import Status
 from bidexdata.runs import object_folders
-from bidexdata.runs.prepare import PrepareReport, prepare_library, prepare_one
+from bidexdata.runs.prepare import prepare_library
+from bidexdata.runs.prepare_report import PrepareReport
+from bidexdata.runs.prepare_task import prepare_one
 
 
 @pytest.fixture
@@ -268,6 +270,31 @@ def test_a_worker_that_dies_costs_one_row_and_a_rerun_tries_again(
     assert again.made == 1
 
 
+def raises_of_the_first(task):
+    if task.item.source_name == "a_box.stl":
+        raise KeyError("SIGXCPU")
+    return prepare_one(task)
+
+
+def test_an_exception_is_no_death_and_its_traceback_is_kept(tmp_path, meshes, small, monkeypatch):
+    out, sources = tmp_path / "lib", [meshes / "a_box.stl", meshes / "e_box.obj"]
+    with monkeypatch.context() as patch:
+        patch.setattr("bidexdata.runs.prepare.prepare_one", raises_of_the_first)
+        first, other = run(sources, out, small).rows
+    # A word in its message is no signal.
+    assert (first["status"], other["status"]) == (Status.CRASHED, Status.OK)
+    assert first["reason"].endswith(
+        "unexpected error, whose traceback is in the logs: KeyError: 'SIGXCPU'"
+    )
+    assert "died" not in first["reason"]
+    (log,) = (out / ".logs").iterdir()
+    text = log.read_text()
+    assert first["object_id"] in text
+    assert "in raises_of_the_first" in text
+    again = run(sources, out, small)
+    assert [row["status"] for row in again.rows] == [Status.OK] * 2
+
+
 def test_a_worker_that_needs_too_much_memory_costs_one_row(tmp_path, meshes, small):
     few = RestConfig(drops=24)
     fine = replace(small, sdf=SdfConfig(cells=1000, error=1e-9), rest=few)
@@ -310,6 +337,7 @@ def test_listed_files_that_do_not_exist_are_rows(tmp_path, meshes, small):
     listed.write_text("missing.obj\na_box.stl\n")
     report = run([listed], tmp_path / "lib", small)
     assert [r["status_label"] for r in report.rows] == ["no_file", "ok"]
+    assert "the list's own folder" in report.rows[0]["reason"]
 
 
 def test_real_meshes_are_prepared_without_the_hull(tmp_path, shared):

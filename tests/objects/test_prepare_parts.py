@@ -18,7 +18,8 @@ from bidexdata.kinds import kind_of
 from bidexdata.objects.config import PrepareConfig, SdfConfig
 from bidexdata.objects.library import Library
 from bidexdata.runs import prepare_parts
-from bidexdata.runs.prepare import PrepareReport, prepare_library
+from bidexdata.runs.prepare import prepare_library
+from bidexdata.runs.prepare_report import PrepareReport
 
 
 @pytest.fixture
@@ -77,7 +78,7 @@ def test_parts_at_the_same_time_give_the_bytes_of_one_run(
     tmp_path, meshes, small, single, monkeypatch
 ):
     # The forked machines have the address space of all tests before: no bound of a worker fits it.
-    monkeypatch.setattr("bidexdata.runs.prepare.limit_memory", lambda gib: None)
+    monkeypatch.setattr("bidexdata.runs.prepare_task.limit_memory", lambda gib: None)
     out = tmp_path / "lib"
     context = multiprocessing.get_context("fork")
     # Every part twice, so that two also write the same objects at the same time.

@@ -177,6 +177,7 @@ LINES = {
     "v 0 0 0\nv 1 2\nf 1 2 1": "line 2",
     "v 0 0 0\nv 0,5 0 1\nf 1 2 1": "write a point",
     "v 0 0 0\n\nv 0 1 0\nf 1 2 2.5": "line 4",
+    "v 0 0 0\nv 0 1 0\nf 1 2 1\nf 1 2 99999999999999999999": "line 4",
     "v 0 0 0\nv 0 1 0\nf 1 2 3": "names vertex 3 of 2",
     "v 0 0 0\nv 0 1 0\nf 1 2 -3": "names vertex -3 of 2",
     "v 0 0 0\nv 0 1 0\nf 1 2 0": "counts from 1",
@@ -459,6 +460,17 @@ def test_a_collada_turn_about_no_axis_turns_nothing(box, axis):
     node = f"<node><rotate>{axis} 1e308</rotate>{GEOMETRY}</node>"
     np.testing.assert_allclose(read("a.dae", collada(box, "", node)).mesh.vertices, box.vertices)
     refused("a.dae", collada(box, "", node.replace("1e308<", "inf<")))
+
+
+@pytest.mark.parametrize("transform", ["skew", "lookat"])
+def test_a_collada_transform_that_is_not_applied_is_refused_where_it_counts(box, transform):
+    made = f"<{transform}>1 2 3 0 0 0 0 0 1</{transform}>"
+    node = f"<node>{made}{GEOMETRY}</node>"
+    with pytest.raises(PrepareFailure, match=f"<{transform}>") as caught:
+        read("a.dae", collada(box, "", node))
+    assert caught.value.status == Status.UNSUPPORTED
+    camera = f'<node>{made}<instance_camera url="#c"/></node><node>{GEOMETRY}</node>'
+    np.testing.assert_allclose(read("a.dae", collada(box, "", camera)).mesh.vertices, box.vertices)
 
 
 def test_a_collada_turn_may_be_any_number_of_times_around(box):

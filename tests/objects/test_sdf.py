@@ -16,7 +16,7 @@ from bidexdata.objects.closed import as_mesh, convex_hull
 from bidexdata.objects.config import PrepareConfig, SdfConfig
 from bidexdata.objects.mesh_queries import distances, winding_distances
 from bidexdata.objects.prepare import prepare_object
-from bidexdata.objects.sdf import cover, exact_distances, signed_distance_grid
+from bidexdata.objects.sdf import cover, exact_distances, grid_warnings, signed_distance_grid
 from bidexdata.objects.surface import sample_surface
 from bidexdata.synthesis.distance_field import signed_distance
 
@@ -182,6 +182,19 @@ def test_stout_objects_get_a_coarser_grid_than_thin_ones(prepared):
     fine = signed_distance_grid(thin.mesh, thin.pieces, SdfConfig())
     assert fine.cell < 1 / 200
     assert stout.cell > 1 / 190
+
+
+def test_a_finest_grid_that_is_not_exact_enough_is_warned_of(prepared):
+    mug = prepared["mug"]
+    for config, warned in (
+        (SdfConfig(), False),
+        (SdfConfig(cells=40), True),
+        (SdfConfig(cells=40, error=0.5), False),
+    ):
+        grid = signed_distance_grid(mug.solid, mug.pieces, config)
+        told = grid_warnings(mug.solid, mug.pieces, grid, config)
+        assert len(told) == warned
+    assert [w for w in mug.provenance["warnings"] if "sdf.error is 0.25%" in w]
 
 
 def test_exact_distances_are_those_of_every_triangle(prepared):

@@ -10,10 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from pyarrow import parquet
 
 from bidexdata.errors import Contradiction, NotUsable, PathNotFound, UnknownName
 from bidexdata.objects.config import PrepareConfig
-from bidexdata.objects.library import COLUMNS, Library, content_sha256, object_folder, write_index
+from bidexdata.objects.library import (
+    COLUMNS,
+    Library,
+    content_sha256,
+    object_folder,
+    warnings_of,
+    write_index,
+)
 from bidexdata.objects.prepare import prepare_object
 from bidexdata.objects.prepared import PreparedObject, Solid, TriangleMesh
 from bidexdata.objects.storage import (
@@ -108,6 +116,40 @@ def test_a_damaged_index_is_a_contradiction(library: Path):
     path = library / "index.parquet"
     path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(Contradiction):
+        Library.open(library)
+
+
+def rewrite_index(library: Path, version: str, without: tuple[str, ...] = ()) -> None:
+    """Write an index anew, as another version of the package might have."""
+    path = library / "index.parquet"
+    table = parquet.read_table(path)
+    metadata = {**table.schema.metadata, b"schema_version": version.encode()}
+    if "colour" not in table.column_names:
+        table = table.append_column("colour", [["red"] * table.num_rows])
+    table = table.drop_columns(list(without)).replace_schema_metadata(metadata)
+    parquet.write_table(table, path)
+
+
+@pytest.mark.parametrize(
+    ("version", "said"), [("2.0", "upgrade bidexdata"), ("0.9", "again"), ("", "version none")]
+)
+def test_an_index_of_another_major_version_is_not_read(library: Path, version, said):
+    rewrite_index(library, version)
+    with pytest.raises(Contradiction, match=said):
+        Library.open(library)
+
+
+def test_an_index_of_another_minor_version_is_read_with_nulls(library: Path):
+    ids = Library.open(library).object_ids
+    rewrite_index(library, "1.9", ("genus", "warnings"))
+    lib = Library.open(library)
+    assert lib.object_ids == ids
+    assert lib.index.column_names == [*(name for name, _, _ in COLUMNS), "colour"]
+    assert lib.index.column("genus").to_pylist() == [None] * 3
+    assert warnings_of(lib.index.to_pylist()) == []
+    assert lib.load(ids[0]).volume > 0
+    rewrite_index(library, "1.9", ("content_sha256",))
+    with pytest.raises(Contradiction, match="no column 'content_sha256'"):
         Library.open(library)
 
 

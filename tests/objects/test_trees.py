@@ -17,7 +17,8 @@ from bidexdata.objects.physics import mass_properties
 from bidexdata.objects.prepare import prepare_object
 from bidexdata.objects.prepared import PreparedObject, TriangleMesh
 from bidexdata.objects.sources import resolve_sources
-from bidexdata.runs.prepare import PrepareReport, prepare_library
+from bidexdata.runs.prepare import prepare_library
+from bidexdata.runs.prepare_report import PrepareReport
 
 FACES = np.array(BOX_FACES, np.int32) - 1
 # Two boxes of 0.16 and 0.288 that overlap in 0.2 x 0.4 x 0.4.
@@ -167,6 +168,22 @@ def test_the_same_file_without_its_pieces_has_another_identity(tmp_path, small):
     assert not ids[0] & ids[1]
 
 
+def test_a_tree_is_not_lost_where_its_files_are_named_as_meshes_too(tmp_path):
+    root = write_dexgraspnet(tmp_path / "tree")
+    both = resolve_sources([str(root), f"dexgraspnet:{root}", f"dexgraspnet:{root}"])
+    trees = [item for item in both if item.pieces]
+    assert len(trees) == 4
+    assert len(both) == 4 + len(resolve_sources([str(root)]))
+    assert trees == resolve_sources([f"dexgraspnet:{root}"])
+
+
+def test_a_file_that_a_tree_lacks_is_named(tmp_path, small):
+    root = write_dexgraspnet(tmp_path / "tree")
+    rows = run(f"dexgraspnet:{root}", tmp_path / "lib", small).rows
+    (lost,) = [r for r in rows if r["status_label"] == "no_file"]
+    assert lost["reason"] == "there is no such file: coacd/decomposed.obj"
+
+
 def test_a_group_that_is_not_convex_is_decomposed_anew(tmp_path, small):
     path = tmp_path / "tree" / "ell" / "coacd" / "decomposed.obj"
     write_groups(path, [box((1, 0, 0), (1.0, 0.2, 0.2)), box((0, 1, 0), (0.2, 1.2, 0.2))])
@@ -183,7 +200,7 @@ def test_flat_pieces_are_left_out_and_named(tmp_path, small):
     [item] = resolve_sources([f"dexgraspnet:{tmp_path}"])
     obj = prepare_object(item, small)
     assert len(obj.pieces) == 1
-    assert obj.provenance["warnings"] == ["1 of 2 given pieces are flat: left out"]
+    assert obj.provenance["warnings"][0] == "1 of 2 given pieces are flat: left out"
 
 
 def test_bad_files_of_pieces_are_rows_with_a_reason(tmp_path, small):

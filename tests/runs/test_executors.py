@@ -79,6 +79,7 @@ def test_a_dead_worker_costs_only_its_task():
     assert "SIGSEGV" in got[3].reason
     assert "SIGKILL" in got[4].reason
     assert {got[n].kind for n in (2, 3, 4)} == {"died"}
+    assert [got[n].signal for n in (1, 2, 3, 4)] == ["", "", "SIGSEGV", "SIGKILL"]
 
 
 def test_an_exception_inline_is_the_same_failure_as_in_a_worker():

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from made_dexgraspbench import NOMINAL, OBJECTS, PER_SCENE, SCALES, made_dexgraspbench, save
 
-from bidexdata.errors import ConfigConflict, NotUsable, PathNotFound, UnknownName
+from bidexdata.errors import ConfigConflict, Contradiction, NotUsable, PathNotFound, UnknownName
 from bidexdata.formats.release import Release
 from bidexdata.formats.verify import verify_release
 from bidexdata.objects.library import Library
+from bidexdata.objects.library_page import NOT_IMPORTED
 from bidexdata.runs import import_objects, import_scan
 from bidexdata.runs.browse import open_browsable
 from bidexdata.runs.import_ import ImportRequest, import_run
@@ -89,6 +90,17 @@ def test_a_run_with_its_own_library_comes_out(bench, imported):
         np.testing.assert_array_equal(np.sort(batch["size"]), expected)
         assert set(batch["scene_id"].tolist()) == set(task.scene_ids)
         assert set(batch["size_mm"].tolist()) <= set(run.spec.sizes_mm)
+
+
+def test_an_imported_library_lacks_what_its_page_says(imported):
+    rows = Library.open(imported / "library").index.to_pylist()
+    for row in rows:
+        assert {name for name, value in row.items() if value is None} == set(NOT_IMPORTED)
+    names = {p.name for p in (imported / "library").rglob("*")}
+    assert not names & {"report.html", ".times", "thumbnail.png"}
+    for object_id in Library.open(imported / "library").object_ids:
+        known = Library.open(imported / "library").load_solid(object_id).provenance
+        assert not set(known) & set(NOT_IMPORTED)
 
 
 def test_the_same_files_give_the_same_bytes_wherever_they_lie(bench, imported, tmp_path):
@@ -219,6 +231,98 @@ def test_a_bad_object_fails_its_files_and_no_other(copied, tmp_path):
     assert index["brick"]["status_label"] == "no_faces"
     assert index["Two_Boxes"]["status_label"] == "ok"
     assert len(Run.open(tmp_path / "run").tasks) == 1
+
+
+def failing_once(name: str):
+    """`_make_object` of a moment in which one object cannot be made, for a passing reason."""
+    make = import_objects._make_object
+
+    def work(form_name, library, source):
+        if source.name == name:
+            raise OSError("no space left")
+        return make(form_name, library, source)
+
+    return work
+
+
+def test_an_object_that_failed_for_a_moment_does_not_break_the_run(bench, tmp_path, monkeypatch):
+    out = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        patch.setattr(import_objects, "_make_object", failing_once("brick"))
+        first = import_run(request(bench), out, execution=HERE)
+    assert len(first.failed) == N // 2
+    assert all("traceback is in the logs: OSError" in f.reason for f in first.failed)
+    assert any("in work" in p.read_text() for p in (out / "logs").iterdir())
+    before = contents(out)
+    again = import_run(request(bench), out, execution=HERE)
+    assert (again.stage.before, again.stage.finished) == (1, 0)
+    assert again.files == tuple(f for f in first.files)
+    assert contents(out) == before
+    assert len(Run.open(out).library.object_ids) == 1
+    # Without its index the run still knows its objects.
+    (out / "library" / "index.parquet").unlink()
+    import_run(request(bench), out, execution=HERE)
+    rows = {r["source_name"]: r for r in Run.open(out).library.index.to_pylist()}
+    assert rows["Two_Boxes"]["status_label"] == "ok"
+    assert "the run began without it" in rows["brick"]["reason"]
+    other = import_run(request(bench), tmp_path / "other", execution=HERE)
+    assert not other.failed
+
+
+def test_a_lost_object_is_made_again_or_the_run_stays_as_it_is(bench, tmp_path, monkeypatch):
+    out = tmp_path / "run"
+    import_run(request(bench), out, execution=HERE)
+    before = contents(out)
+    folder = next((out / "library" / "objects").glob("*/brick*"))
+    shutil.rmtree(folder)
+    rest = contents(out)
+    with monkeypatch.context() as patch:
+        patch.setattr(import_objects, "_make_object", failing_once("brick"))
+        with pytest.raises(NotUsable, match="the object brick of the run is damaged or gone"):
+            import_run(request(bench), out, execution=HERE)
+    assert contents(out) == rest
+    import_run(request(bench), out, execution=HERE)
+    assert contents(out) == before
+    # Another configuration, of a later version say, makes another object: not for this run.
+    shutil.rmtree(folder)
+    made = import_objects.PrepareConfig()
+    finer = replace(made, surface=replace(made.surface, points=101))
+    monkeypatch.setattr(import_objects, "PrepareConfig", lambda: finer)
+    with pytest.raises(Contradiction, match="not what they were"):
+        import_run(request(bench), out, execution=HERE)
+
+
+def test_a_later_version_leaves_the_objects_of_a_run_alone(bench, tmp_path, monkeypatch):
+    out = tmp_path / "run"
+    import_run(request(bench), out, execution=HERE)
+    before, made = contents(out), import_objects.PrepareConfig()
+    finer = replace(made, surface=replace(made.surface, points=101))
+    monkeypatch.setattr(import_objects, "PrepareConfig", lambda: finer)
+    import_run(request(bench), out, execution=HERE)
+    assert contents(out) == before
+
+
+def test_object_files_from_elsewhere_or_without_end_are_not_read(copied, tmp_path):
+    secret = tmp_path / "secret.obj"
+    piece = next((copied / "objects" / "brick").rglob("convex_piece_000.obj"))
+    piece.rename(secret)
+    piece.symlink_to(secret)
+    with open(next((copied / "objects" / "Two_Boxes").rglob("*_000.obj")), "r+b") as stream:
+        stream.truncate(2**33)  # a hole: nothing is written
+    report = import_run(request(copied), tmp_path / "run", execution=HERE)
+    reasons = {f.reason for f in report.failed}
+    assert len(report.failed) == N
+    assert any("is a link to outside of" in r and "--objects" in r for r in reasons)
+    assert any("has 8589934592 bytes" in r for r in reasons)
+    # A folder that the caller names may be anywhere.
+    piece.unlink()
+    secret.rename(piece)
+    (copied / "objects").rename(tmp_path / "objects")
+    (copied / "objects").symlink_to(tmp_path / "objects")
+    through = import_run(request(copied), tmp_path / "run", execution=HERE)
+    assert len(through.failed) == N
+    named = request(copied, objects=tmp_path / "objects")
+    assert len(import_run(named, tmp_path / "run", execution=HERE).failed) == N // 2
 
 
 def test_nothing_usable_leaves_no_run(copied, tmp_path):

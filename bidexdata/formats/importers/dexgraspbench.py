@@ -110,20 +110,21 @@ def find_object(name: str, root: Path, objects: Path | None) -> ObjectSource:
     """
     path = PurePosixPath(name)
     inside = not path.is_absolute() and ".." not in path.parts
-    places = [objects / path.name] if objects is not None else []
-    places += [root / path] if inside else []
-    places.append(root / "objects" / path.name)
-    folder = next((p for p in places if p.joinpath(*_PIECES).is_dir()), None)
-    if not path.name or folder is None:
-        tried = ", ".join(dict.fromkeys(str(p) for p in places))
+    places = [(objects / path.name, objects)] if objects is not None else []
+    places += [(root / path, root)] if inside else []
+    places.append((root / "objects" / path.name, root))
+    found = next((p for p in places if p[0].joinpath(*_PIECES).is_dir()), None)
+    if not path.name or found is None:
+        tried = ", ".join(dict.fromkeys(str(p) for p, _ in places))
         raise BadFile(f"its object {name!r} has no urdf/meshes (looked in {tried})")
+    folder, top = found
     meshes = folder.joinpath(*_PIECES)
     pieces = sorted((p for p in meshes.glob("*.obj") if p.is_file()), key=os.fsencode)
     if not pieces:
         raise BadFile(f"its object {name!r} has no convex piece in {meshes}")
     others = (folder / "info" / "simplified.json", folder / "mesh" / "simplified.obj")
     files = (*pieces, *(p for p in others if p.is_file()))
-    return ObjectSource.of(path.name, folder, files, _about(folder))
+    return ObjectSource.of(path.name, folder, files, _about(folder), top=top)
 
 
 def load_object(source: ObjectSource, config: PrepareConfig) -> PreparedObject:

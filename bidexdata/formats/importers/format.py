@@ -13,13 +13,16 @@ from numpy.typing import NDArray
 
 from bidexdata.errors import BidexError
 from bidexdata.frames import quat_canonical
-from bidexdata.objects.config import PrepareConfig
+from bidexdata.objects.config import LoadConfig, PrepareConfig
+from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.identity import named_id
 from bidexdata.objects.prepared import PreparedObject
+from bidexdata.objects.readers.inside import lies_inside, regular_blocks, regular_size
 
 FloatArray = NDArray[np.float64]
 _POSE_DIGITS = 4
 """Decimals of a quaternion below which two poses on a table are one scene."""
+_MOST_BYTES = LoadConfig().max_bytes
 
 
 class BadFile(BidexError):
@@ -92,23 +95,47 @@ class ObjectSource:
 
     @classmethod
     def of(
-        cls, name: str, folder: Path, files: Sequence[Path], about: Mapping[str, str] | None = None
+        cls,
+        name: str,
+        folder: Path,
+        files: Sequence[Path],
+        about: Mapping[str, str] | None = None,
+        *,
+        top: Path | None = None,
+        most: int = _MOST_BYTES,
     ) -> ObjectSource:
-        """Read and hash the files of an object.
+        """Hash the files of an object, block by block.
+
+        Args:
+            name: The source's own name of the object.
+            folder: Of the object.
+            files: In it.
+            about: What is stated of its origin.
+            top: What the caller named: nothing outside of it is read, links followed. The folder
+                when omitted.
+            most: Largest size of the files together [bytes].
 
         Raises:
-            BadFile: One of them cannot be read.
+            BadFile: One of them cannot be read or lies outside, or they are too large.
         """
         digest, total = hashlib.sha256(), 0
         for file in files:
+            if not lies_inside(file, top or folder):
+                raise BadFile(
+                    f"object {name}: {file.name} is a link to outside of {top or folder} and was not "
+                    "read; --objects names a folder of objects elsewhere"
+                )
             try:
-                data = file.read_bytes()
-            except OSError as err:
-                reason = err.strerror or type(err).__name__
-                raise BadFile(f"object {name}: {file.name}: {reason}") from err
-            digest.update(f"{file.relative_to(folder).as_posix()} {len(data)}\n".encode())
-            digest.update(data)
-            total += len(data)
+                size = regular_size(file, most)
+                total += size
+                if total > most:
+                    what = f"object {name}: its {len(files)} files have more than {most} bytes"
+                    raise BadFile(f"{what} together, which are not read")
+                digest.update(f"{file.relative_to(folder).as_posix()} {size}\n".encode())
+                for block in regular_blocks(file, size):
+                    digest.update(block)
+            except PrepareFailure as failure:
+                raise BadFile(f"object {name}: {failure.reason}") from failure
         return cls(name, folder, tuple(files), digest.hexdigest(), total, dict(about or {}))
 
     @property

@@ -8,6 +8,6 @@ what it holds before anything of that size is made.
 
 from __future__ import annotations
 
-from bidexdata.objects.readers.content import Content as Content
-from bidexdata.objects.readers.read import SUFFIXES as SUFFIXES
-from bidexdata.objects.readers.read import read_content as read_content
+from .content import Content as Content
+from .read import SUFFIXES as SUFFIXES
+from .read import read_content as read_content

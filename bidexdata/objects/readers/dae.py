@@ -17,8 +17,11 @@ from numpy.typing import NDArray
 
 from bidexdata.frames import quat_from_rotation_vector, transform
 from bidexdata.objects.config import LoadConfig
+from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.polygons import triangulated
-from bidexdata.objects.readers.content import (
+from bidexdata.record.status import Status
+
+from .content import (
     R_WORLD_X_UP,
     R_WORLD_Y_UP,
     Content,
@@ -27,10 +30,14 @@ from bidexdata.objects.readers.content import (
     joined_parts,
     unreadable,
 )
-from bidexdata.objects.readers.scene import Place, placed
-from bidexdata.objects.readers.text import numbers, plain_text, whole_numbers
+from .scene import Place, placed
+from .text import numbers, plain_text, whole_numbers
 
 _R_WORLD_FILE = {"X_UP": R_WORLD_X_UP, "Y_UP": R_WORLD_Y_UP, "Z_UP": np.eye(3)}
+_PLACED = ("node", "instance_node", "instance_geometry", "instance_controller")
+"""Children of a node that may hold triangles."""
+_UNSUPPORTED = ("skew", "lookat")
+"""Transforms of nodes that exporters hardly write, and that readers take differently."""
 _PRIMITIVES = ("triangles", "polylist", "polygons", "trifans", "tristrips")
 
 
@@ -38,8 +45,8 @@ def read_dae(path: Path, data: bytes, config: LoadConfig) -> Content:
     """Read a COLLADA file.
 
     Raises:
-        PrepareFailure: It is no COLLADA, contradicts itself, declares entities, or is larger than
-            the bounds.
+        PrepareFailure: It is no COLLADA, contradicts itself, declares entities, has a transform
+            that is not supported, or is larger than the bounds.
     """
     root = _root(data)
     ids = {e.get("id"): e for e in root.iter() if isinstance(e.tag, str) and e.get("id")}
@@ -52,13 +59,15 @@ def read_dae(path: Path, data: bytes, config: LoadConfig) -> Content:
 
     def children(node: Any) -> Iterator[Place]:
         # Local references may name what stands elsewhere: `sid` paths are not used by instances.
-        T_parent_node = _transform(node) if _tag(node) == "node" else np.eye(4)
-        for child in node:
+        shown = [child for child in node if _tag(child) in _PLACED]
+        # A camera's own transforms place no triangles, and may be what is not supported.
+        T_parent_node = _transform(node) if shown and _tag(node) == "node" else np.eye(4)
+        for child in shown:
             if _tag(child) == "node":
                 yield Place(child, T_parent_node)
             elif _tag(child) == "instance_node" or _tag(child) == "instance_geometry":
                 yield Place(_target(child, ids), T_parent_node)
-            elif _tag(child) == "instance_controller":
+            else:
                 yield from _skinned(_target(child, ids), ids, T_parent_node)
 
     def is_geometry(node: Any) -> bool:
@@ -123,6 +132,10 @@ def _transform(node: Any) -> NDArray[np.float64]:
     """Transforms of a node in the order in which they stand."""
     T = np.eye(4)
     for child in node:
+        if _tag(child) in _UNSUPPORTED:
+            raise PrepareFailure(
+                Status.UNSUPPORTED, f"a node has a <{_tag(child)}>: export it with a <matrix>"
+            )
         make = _TRANSFORMS.get(_tag(child))
         if make is not None:
             T = T @ make(child)

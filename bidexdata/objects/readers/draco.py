@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.readers.content import unreadable
 from bidexdata.record.status import Status
+
+from .content import unreadable
 
 DRACO = "KHR_draco_mesh_compression"
 

@@ -22,7 +22,9 @@ from numpy.typing import NDArray
 from bidexdata.frames import transform, wxyz_from_xyzw
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.readers.content import (
+from bidexdata.record.status import Status
+
+from .content import (
     R_WORLD_Y_UP,
     Content,
     Part,
@@ -31,9 +33,8 @@ from bidexdata.objects.readers.content import (
     joined_parts,
     unreadable,
 )
-from bidexdata.objects.readers.draco import DRACO, draco_triangles
-from bidexdata.objects.readers.inside import file_inside
-from bidexdata.record.status import Status
+from .draco import DRACO, draco_triangles
+from .inside import file_inside
 
 _READABLE = frozenset(
     {

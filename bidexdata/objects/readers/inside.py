@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.readers.content import unreadable
 from bidexdata.record.status import Status
+
+from .content import unreadable
 
 _BLOCK = 1 << 20
 """Bytes read at once where a file is not needed whole."""

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.polygons import triangulated
-from bidexdata.objects.readers.content import Content, Part, check_faces, joined_parts, unreadable
-from bidexdata.objects.readers.inside import leads_out
-from bidexdata.objects.readers.text import bad_numbers, numbers, plain_text, shown, whole_numbers
 from bidexdata.record.status import Status
 from bidexdata.wording import counted
+
+from .content import Content, Part, check_faces, joined_parts, unreadable
+from .inside import leads_out
+from .text import bad_numbers, numbers, plain_text, shown, whole_numbers
 
 
 def read_obj(path: Path, data: bytes, config: LoadConfig) -> Content:
@@ -91,7 +92,7 @@ def _corners(
     try:
         corners = whole_numbers([word for row in rows for word in row])
     except ValueError as err:
-        k = next(k for k, row in enumerate(rows) if not all(map(_is_whole, row)))
+        k = next(k for k, row in enumerate(rows) if not _are_whole(row))
         text = bad_numbers(b"f " + polygons[k], lines[k], "a face of whole numbers")
         raise unreadable(text) from err
     owner = np.repeat(np.arange(len(rows)), counts)
@@ -110,9 +111,9 @@ def _corners(
     return index, counts
 
 
-def _is_whole(word: bytes) -> bool:
+def _are_whole(words: list[bytes]) -> bool:
     try:
-        int(word)
+        whole_numbers(words)
     except ValueError:
         return False
     return True

@@ -10,8 +10,9 @@ import numpy as np
 
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.polygons import triangulated
-from bidexdata.objects.readers.content import Content, Part, check_faces, joined_parts, unreadable
-from bidexdata.objects.readers.text import bad_numbers, plain_text, whole_numbers
+
+from .content import Content, Part, check_faces, joined_parts, unreadable
+from .text import bad_numbers, plain_text, whole_numbers
 
 
 def read_off(path: Path, data: bytes, config: LoadConfig) -> Content:

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.polygons import triangulated
-from bidexdata.objects.readers.content import Content, Part, joined_parts, unreadable
-from bidexdata.objects.readers.text import numbers
 from bidexdata.record.status import Status
+
+from .content import Content, Part, joined_parts, unreadable
+from .text import numbers
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),

@@ -9,15 +9,16 @@ import numpy as np
 
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.readers.content import Content, unreadable
-from bidexdata.objects.readers.dae import read_dae
-from bidexdata.objects.readers.gltf import read_gltf
-from bidexdata.objects.readers.obj import read_obj
-from bidexdata.objects.readers.off import read_off
-from bidexdata.objects.readers.ply import read_ply
-from bidexdata.objects.readers.stl import read_stl
-from bidexdata.objects.readers.threemf import read_3mf
 from bidexdata.record.status import Status
+
+from .content import Content, unreadable
+from .dae import read_dae
+from .gltf import read_gltf
+from .obj import read_obj
+from .off import read_off
+from .ply import read_ply
+from .stl import read_stl
+from .threemf import read_3mf
 
 _READERS: dict[str, Callable[[Path, bytes, LoadConfig], Content]] = {
     ".3mf": read_3mf,

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.objects.config import LoadConfig
-from bidexdata.objects.readers.content import check_instances, unreadable
+
+from .content import check_instances, unreadable
 
 
 class Place(NamedTuple):

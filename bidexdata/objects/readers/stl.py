@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.objects.config import LoadConfig
-from bidexdata.objects.readers.content import Content, Part, check_faces, joined_parts, unreadable
-from bidexdata.objects.readers.text import bad_numbers, numbers, plain_text
+
+from .content import Content, Part, check_faces, joined_parts, unreadable
+from .text import bad_numbers, numbers, plain_text
 
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 

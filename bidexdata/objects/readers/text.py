@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.objects.readers.content import unreadable
+from .content import unreadable
 
 _BOMS = (
     (codecs.BOM_UTF8, "utf-8"),

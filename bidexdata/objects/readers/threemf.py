@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 
 from bidexdata.objects.config import LoadConfig
 from bidexdata.objects.failure import PrepareFailure
-from bidexdata.objects.readers.content import Content, Part, check_faces, joined_parts, unreadable
-from bidexdata.objects.readers.inside import leads_out
-from bidexdata.objects.readers.scene import Place, placed
 from bidexdata.record.status import Status
+
+from .content import Content, Part, check_faces, joined_parts, unreadable
+from .inside import leads_out
+from .scene import Place, placed
 
 _METRES = {
     "micron": 1e-6,

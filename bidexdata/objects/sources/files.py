@@ -15,8 +15,9 @@ from bidexdata.errors import NotUsable, PathNotFound
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.readers import SUFFIXES
 from bidexdata.objects.readers.inside import lies_inside, real_path
-from bidexdata.objects.sources.item import SourceItem
-from bidexdata.objects.sources.lists import SIDE_LIST, side_list
+
+from .item import SourceItem
+from .lists import SIDE_LIST, side_list
 
 _Known = Mapping[str, Mapping[str, Any]]
 """Origin of each file that a list names."""

@@ -36,6 +36,8 @@ class SourceItem:
     """Mesh file to show of an object with given pieces; None: their union."""
     normalisation: str = ""
     """How the source scaled and placed the object, a word of docs/sources.md; empty: not said."""
+    listed: bool = False
+    """Whether a list names the file, so that it may not exist."""
     problem: str = ""
     """Why the input cannot be read, where listing it told; it becomes a report row."""
 

@@ -9,7 +9,8 @@ from typing import Any
 
 from bidexdata.errors import NotUsable
 from bidexdata.objects.readers.inside import file_inside
-from bidexdata.objects.sources.item import SourceItem
+
+from .item import SourceItem
 
 SIDE_LIST = "INDEX.csv"
 """Name of a list that describes the files of a folder in which or beside which it lies."""
@@ -35,7 +36,9 @@ def list_items(path: Path) -> list[SourceItem]:
     if not rows:
         raise NotUsable(f"{path}: the list names no file")
     return [
-        SourceItem(source_name=row["file"], path=path.parent / row["file"], **_origin(row))
+        SourceItem(
+            source_name=row["file"], path=path.parent / row["file"], listed=True, **_origin(row)
+        )
         for row in rows
     ]
 

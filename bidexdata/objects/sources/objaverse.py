@@ -22,8 +22,9 @@ from typing import Any, TypeVar
 from urllib.error import HTTPError
 
 from bidexdata.errors import BadValue, MissingExtra, NotUsable, PathNotFound, UnknownName
-from bidexdata.objects.sources.item import UNKNOWN, SourceItem
-from bidexdata.objects.sources.lists import text_lines
+
+from .item import UNKNOWN, SourceItem
+from .lists import text_lines
 
 _FORM = "objaverse:uids=FILE, objaverse:lvis=CATEGORY or objaverse:random=N[,seed=K]"
 _KEYS = ("uids", "lvis", "random", "seed")

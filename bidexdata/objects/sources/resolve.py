@@ -9,12 +9,13 @@ from pathlib import Path
 
 from bidexdata.errors import UnknownName
 from bidexdata.objects.readers.inside import real_path
-from bidexdata.objects.sources.files import file_items, folder_items, glob_items
-from bidexdata.objects.sources.item import SourceItem
-from bidexdata.objects.sources.lists import list_items
-from bidexdata.objects.sources.objaverse import objaverse_items
-from bidexdata.objects.sources.shapes import shape_items
-from bidexdata.objects.sources.trees import bodex_items, dexgraspnet_items
+
+from .files import file_items, folder_items, glob_items
+from .item import SourceItem
+from .lists import list_items
+from .objaverse import objaverse_items
+from .shapes import shape_items
+from .trees import bodex_items, dexgraspnet_items
 
 _ADAPTERS = {
     "shapes": shape_items,
@@ -32,7 +33,8 @@ def resolve_sources(sources: Sequence[str]) -> list[SourceItem]:
     path per line; `.csv` with a column `file` and, if present, `source`, `licence`, `author`,
     `category`), `shapes[:FAMILY,...]`, a tree of another project, `dexgraspnet:PATH` or
     `bodex:PATH`, or `objaverse:...`, whose files `fetched` brings. Files of one source come in byte order of their paths;
-    a path that two sources name comes once.
+    a path that two sources name comes once, or
+    twice where only one of them takes its convex pieces.
 
     Raises:
         PathNotFound: A path does not exist, or a glob or folder holds no mesh file.
@@ -40,10 +42,12 @@ def resolve_sources(sources: Sequence[str]) -> list[SourceItem]:
         UnknownName: A prefix or a family of shapes does not exist.
     """
     items: list[SourceItem] = []
-    seen: set[tuple[Path | None, str | None, str]] = set()
+    seen: set[tuple[Path | None, str | None, str, bool]] = set()
     for source in sources:
         for item in _items_of(source):
-            key = (real_path(item.path) if item.path else None, item.shape, item.uid)
+            # A file of pieces and the same file as an ordinary mesh are two objects.
+            path = real_path(item.path) if item.path else None
+            key = (path, item.shape, item.uid, bool(item.pieces))
             if key not in seen:
                 seen.add(key)
                 items.append(item)

@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from bidexdata.errors import BadValue, UnknownName
 from bidexdata.objects.closed import as_mesh, convex_hull, union
 from bidexdata.objects.prepared import TriangleMesh
-from bidexdata.objects.sources.item import SourceItem
+
+from .item import SourceItem
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from bidexdata.errors import BadValue, NotUsable, PathNotFound
-from bidexdata.objects.sources.files import byte_order, described, leaving
-from bidexdata.objects.sources.item import UNKNOWN, SourceItem
+
+from .files import byte_order, described, leaving
+from .item import UNKNOWN, SourceItem
 
 UNIT_SPHERE = "unit sphere"
 """Box centred at the origin, farthest vertex of the surface at 1 / 1.03, of its pieces at about 0.98.
