@@ -82,7 +82,7 @@ class RepairConfig:
     """The same for one whose only deviation are lids: the middle of a lid is as far from the input as
     its hole is wide. A wider one may close an opening that is meant."""
     hausdorff_samples: int = 20_000
-    """Samples per direction of the Hausdorff distance, besides all vertices."""
+    """Samples per direction of `hausdorff` and `solid_hausdorff`, besides all vertices."""
 
     def __post_init__(self):
         _check(

@@ -138,8 +138,9 @@ schema hold `schema_version`, `prepare_config` (what decided the bytes) and `ask
 inputs gave none), as JSON. An index of another major schema version is not read; of another minor one,
 columns that it lacks read as nulls and those that it has more stay. Statuses are listed in [fields.md](fields.md#statuses).
 
-`hausdorff` and `solid_hausdorff` are distances between bodies: what lies inside the other body counts
-nothing. `hausdorff` compares with the input after the weld and without its debris, and
+`hausdorff` and `solid_hausdorff` are distances between bodies, not between surfaces: the farthest that a
+point of the surface of one is from the body of the other, the larger of both ways. What lies inside the
+other body counts nothing, so a closed cavity that only one has does not show. `hausdorff` compares with the input after the weld and without its debris, and
 `source_diagonal` is that of the input without its debris, too. `volume_ratio` is the volume of the union of
 the pieces to that of the repaired mesh; where the source gives the pieces, to that of its closed
 mesh, and empty where it has none."""

@@ -44,10 +44,12 @@ def distances(
     return closest, distance
 
 
-def winding_distances(mesh: TriangleMesh, points: NDArray[np.floating]) -> NDArray[np.float32]:
+def winding_distances(
+    mesh: TriangleMesh, points: NDArray[np.floating], *, threshold: float = 0.5
+) -> NDArray[np.float32]:
     """Signed distances (P,) of points (P, 3); the sign comes from the winding number.
 
-    Negative where the mesh winds around the point more than half a time, so open and
+    Negative where the mesh winds around the point more often than `threshold`, so open and
     self-overlapping meshes have an inside too.
     """
     import warp as wp
@@ -61,7 +63,7 @@ def winding_distances(mesh: TriangleMesh, points: NDArray[np.floating]) -> NDArr
         wp.launch(
             kernels.winding_distance,
             dim=len(points),
-            inputs=[device_mesh.id, _shared(points, wp.vec3), _FARTHEST],
+            inputs=[device_mesh.id, _shared(points, wp.vec3), _FARTHEST, float(threshold)],
             outputs=[_shared(distance, wp.float32)],
             device=_DEVICE,
         )

@@ -7,6 +7,9 @@ wp.set_module_options({"enable_backward": False})
 CLOSE = wp.constant(4.0e-3)
 """Distance on a mesh of unit diagonal below which the search is repeated exactly."""
 
+WINDING_ACCURACY = wp.constant(2.0)
+"""Of Warp's estimate of winding numbers; its default."""
+
 
 @wp.func
 def closest_on_segment(a: wp.vec3, b: wp.vec3) -> wp.vec3:
@@ -105,12 +108,15 @@ def winding_distance(
     # Query in:
     points_in: wp.array[wp.vec3],
     max_distance: float,
+    threshold: float,
     # Query out:
     distance_out: wp.array[float],
 ):
     """Distance signed by the winding number, one thread per point."""
     i = wp.tid()
-    query = wp.mesh_query_point_sign_winding_number(mesh, points_in[i], max_distance)
+    query = wp.mesh_query_point_sign_winding_number(
+        mesh, points_in[i], max_distance, WINDING_ACCURACY, threshold
+    )
     if query.result:
         distance_out[i] = query.sign * wp.length(way_to_surface(mesh, query.face, points_in[i]))
     else:

@@ -221,7 +221,7 @@ def _shape(mesh: TriangleMesh, config: PrepareConfig) -> dict[str, Any]:
 
 
 def _apart(solid: UnitSolid, mesh: TriangleMesh, samples: int) -> float:
-    """Hausdorff distance of a solid at unit diagonal to a mesh in the frame its pieces came in."""
+    """`hausdorff` of a solid at unit diagonal and a mesh in the frame its pieces came in."""
     moved = (mesh.vertices - solid.centre) / solid.diagonal
     return hausdorff(solid.mesh, TriangleMesh(moved, mesh.faces), samples)
 

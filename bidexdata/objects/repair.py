@@ -62,7 +62,7 @@ class Repaired(NamedTuple):
     """What was done, in order; docs/sources.md lists the names."""
     warnings: tuple[str, ...]
     hausdorff: float
-    """Hausdorff distance of the mesh to the input after the weld, fraction of the diagonal."""
+    """Of the mesh and the input after the weld (`deviation.hausdorff`), fraction of the diagonal."""
     thin: bool
     """Whether its walls are too thin to be taken where anything else is left."""
 

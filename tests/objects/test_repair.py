@@ -22,11 +22,14 @@ from bidexdata.objects.deviation import hausdorff
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.holes import filled
 from bidexdata.objects.loading import unit_mesh
+from bidexdata.objects.mesh_queries import distances
 from bidexdata.objects.physics import mass_properties, thickness
 from bidexdata.objects.prepare import prepare_object
 from bidexdata.objects.prepared import TriangleMesh
 from bidexdata.objects.repair import repair
 from bidexdata.objects.solids import winding_number
+from bidexdata.objects.sources.shapes import shape_mesh
+from bidexdata.objects.surface import sample_surface
 from bidexdata.objects.weld import weld
 from bidexdata.record.status import Status
 
@@ -395,6 +398,29 @@ def test_hausdorff_of_shifted_boxes_is_the_shift_and_ignores_swallowed_walls(box
     inner = TriangleMesh(0.3 * box.vertices, box.faces)
     assert hausdorff(box, joined(box, inner), 500) < FLOAT32
     assert mass_properties(joined(box, inner)).volume > 0.09
+
+
+@pytest.mark.parametrize("family", ["box", "cylinder", "bottle", "bowl"])
+def test_a_flat_lid_over_an_opening_counts_with_its_whole_width(family):
+    """On the lid the open mesh winds exactly half around: an estimate of that may be either side."""
+    shape = shape_mesh(f"{family}/0")
+    mesh = TriangleMesh(
+        shape.vertices / np.linalg.norm(np.ptp(shape.vertices, axis=0)), shape.faces
+    )
+    height = mesh.vertices[mesh.faces][:, :, 2]
+    for level in (mesh.vertices[:, 2].min(), mesh.vertices[:, 2].max()):
+        lid = (np.abs(height - level) < 1e-6).all(axis=1)
+        if not lid.any():
+            continue
+        open_mesh = TriangleMesh(mesh.vertices, mesh.faces[~lid])
+        drawn, face = sample_surface(mesh, 5000, np.random.default_rng(0))
+        _, away = distances(open_mesh, drawn[lid[face]])
+        assert hausdorff(mesh, open_mesh, 5000) >= 0.99 * away.max()
+
+
+def test_a_closed_cavity_of_one_body_counts_nothing(ball):
+    hollow = joined(ball, turned(TriangleMesh(0.5 * ball.vertices, ball.faces)))
+    assert hausdorff(ball, hollow, 500) < FLOAT32
 
 
 def test_specks_are_dropped_and_the_object_keeps_its_scale(ball):
