@@ -114,7 +114,7 @@ def assembled(
     """
     check_simulated(solid.pieces)
     hull = as_mesh(convex_hull(solid.mesh.vertices))
-    rest = rest_poses(Body(hull, solid.volume, solid.inertia), config.rest)
+    rest = rest_poses(Body(hull, solid.volume, solid.inertia), config.rest, solid.pieces)
     warnings = [*provenance.get("warnings", ())]
     if not len(rest.heights):
         warnings.append("no rest pose: it comes to rest on a table in no orientation")

@@ -216,7 +216,10 @@ class RestConfig:
     seconds: float = 6.0
     """Simulated time at unit diagonal (1 m) after which a drop that still moves is given up [s]."""
     flat: float = 0.017
-    """A facet this flat on the table carries the object [rad]; 1 degree."""
+    """A facet this flat on the table carries the object [rad]; 1 degree. Put down in a pose, the object
+    must not turn by more."""
+    stand_seconds: float = 3.0
+    """For so long, at unit diagonal [s]."""
     prior_drops: float = 12.0
     """Weight of the probabilities that the hull alone gives, in drops."""
     merge: float = 0.1
@@ -227,7 +230,7 @@ class RestConfig:
     """Poses kept, most probable first."""
 
     def __post_init__(self):
-        _check(self, "drops", "drop_height", "seconds", "flat", "max_poses")
+        _check(self, "drops", "drop_height", "seconds", "stand_seconds", "flat", "max_poses")
         if self.drops % 24:
             raise BadConfig(f"rest.drops must be a multiple of 24, not {self.drops}")
 

@@ -1,13 +1,15 @@
-"""Dropping a convex body on a plane in MuJoCo, many times, until it lies still.
+"""Dropping a body on a plane in MuJoCo, many times, until it lies still, and putting it down.
 
 A body touches a plane with its convex hull only, so the hull is dropped instead of the pieces: the
-same contacts for a fraction of the time. Nothing here depends on the size: at diagonal s every time
+same contacts for a fraction of the time. It is put down as scenes have it, in pieces: a piece touches
+at more points than the hull, and some poses need them. Nothing here depends on the size: at diagonal s every time
 is longer by the square root of s.
 """
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -17,6 +19,7 @@ from bidexdata.engine_log import engine_warnings_logged
 from bidexdata.frames import matrix_from_quat, quat_canonical, quat_from_rotation_vector
 
 from .prepared import TriangleMesh
+from .simulated import add_pieces
 
 if TYPE_CHECKING:
     import mujoco
@@ -76,7 +79,7 @@ def drop(
     import mujoco
     from mujoco import rollout
 
-    model = _model(body)
+    model = _model(body, (body.hull,))
     data = mujoco.MjData(model)
     state = np.zeros((len(downs), 1 + model.nq + model.nv))
     quats = np.array([facing_down(d) for d in downs]).reshape(-1, 4)
@@ -96,6 +99,38 @@ def drop(
     still = np.ones(len(downs), bool)
     still[moving] = False
     return Drops(_downs(state), still)
+
+
+def put_down(
+    body: Body,
+    pieces: Sequence[TriangleMesh],
+    quats: NDArray[np.float64],
+    heights: NDArray[np.float64],
+    seconds: float,
+) -> NDArray[np.float64]:
+    """Put a body down in poses and tell by how much its z axis has turned after a while [rad], (K,).
+
+    Args:
+        body: The body.
+        pieces: Convex pieces that it consists of.
+        quats: The poses (K, 4) wxyz.
+        heights: Of the origin above the plane in them, (K,).
+        seconds: How long to wait.
+    """
+    import mujoco
+    from mujoco import rollout
+
+    if len(quats) == 0:
+        return np.zeros(0)
+    model = _model(body, pieces)
+    state = np.zeros((len(quats), 1 + model.nq + model.nv))
+    state[:, 3], state[:, 4:8] = heights, quats
+    with engine_warnings_logged():
+        path, _ = rollout.rollout(
+            model, mujoco.MjData(model), state, nstep=round(seconds / _TIME_STEP)
+        )
+    cosines = np.sum(_downs(state) * _downs(path[:, -1]), axis=1)
+    return np.arccos(np.clip(cosines, -1.0, 1.0))
 
 
 def spread_directions(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -147,7 +182,7 @@ def _downs(state: NDArray[np.float64]) -> NDArray[np.float64]:
     return -matrix_from_quat(state[:, 4:8])[:, 2]
 
 
-def _model(body: Body) -> mujoco.MjModel:
+def _model(body: Body, pieces: Sequence[TriangleMesh]) -> mujoco.MjModel:
     import mujoco
 
     spec = mujoco.MjSpec()
@@ -160,18 +195,13 @@ def _model(body: Body) -> mujoco.MjModel:
     spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], friction=friction
     )
-    spec.add_mesh(
-        name="hull",
-        uservert=body.hull.vertices.ravel(),
-        userface=body.hull.faces.ravel(),
-        # The inertia is given; this choice only keeps flat hulls from being refused.
-        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-    )
     moving = spec.worldbody.add_body(name="body")
     moving.add_freejoint()
     moving.explicitinertial = True
     moving.mass = 1.0
     moving.ipos = [0.0, 0.0, 0.0]
     moving.fullinertia = (body.inertia / body.volume)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    moving.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="hull", friction=friction)
+    add_pieces(spec, moving, pieces, 1.0)
+    for geom in moving.geoms:
+        geom.friction = friction
     return spec.compile()

@@ -1,19 +1,21 @@
 """Poses in which a solid rests on a table, with probabilities.
 
 The hull says exactly which poses there are: a facet carries the body when the centre of mass is
-over it. Drops in MuJoCo say how often each is reached, and leave out those that never are. A pose
+over it. Drops in MuJoCo say how often each is reached, and leave out those that never are; put down in what
+is left, the body must stay. A pose
 is a direction that points down, so what differs by a rotation about z alone is one pose.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .config import RestConfig
-from .drops import Body, drop, facing_down, spread_directions
+from .drops import Body, drop, facing_down, put_down, spread_directions
 from .facets import Facets, adjacency, facets
 from .physics import solid_angles
 from .prepared import TriangleMesh
@@ -38,12 +40,15 @@ class CarryingFacets(NamedTuple):
     """Probabilities without dynamics, (K,)."""
 
 
-def rest_poses(body: Body, config: RestConfig) -> RestPoses:
+def rest_poses(
+    body: Body, config: RestConfig, pieces: Sequence[TriangleMesh] | None = None
+) -> RestPoses:
     """Find the poses in which a body rests, the most probable first; none for a smooth ball.
 
     Args:
         body: The body; its centre of mass is at the origin.
         config: Number of drops, bounds on number and probability.
+        pieces: Convex pieces that it consists of; its hull when omitted.
     """
     carrying = carrying_facets(body.hull, config)
     if len(carrying.normals) == 0:
@@ -66,7 +71,10 @@ def rest_poses(body: Body, config: RestConfig) -> RestPoses:
     probability, kept = _merged(carrying.normals, probability, reached, config.merge)
     kept = kept[probability[kept] >= config.min_probability][: config.max_poses]
     quats = np.array([facing_down(n) for n in carrying.normals[kept]]).reshape(-1, 4)
-    return RestPoses(quats, carrying.heights[kept], probability[kept])
+    heights = carrying.heights[kept]
+    turned = put_down(body, pieces or (body.hull,), quats, heights, config.stand_seconds)
+    stays = turned < config.flat
+    return RestPoses(quats[stays], heights[stays], probability[kept][stays])
 
 
 def carrying_facets(hull: TriangleMesh, config: RestConfig) -> CarryingFacets:

@@ -220,3 +220,15 @@ def test_dropped_boxes_end_flat_on_a_face():
     end = drop(body, released, normals, height=0.05, angle=np.radians(1), seconds=6.0)
     assert end.still.all()
     assert np.abs(end.downs).max(axis=1).min() > np.cos(np.radians(1))
+
+
+def test_poses_that_the_pieces_do_not_hold_are_none():
+    """The hull says that a block stands on its foot; of a corner that is missing only pieces know."""
+    body = cuboid(0.4, 0.4, 0.6)
+    corners = body.hull.vertices.copy()
+    corner = np.argmin(corners @ [1.0, 1.0, 1.0])
+    corners[corner, 2] += 0.05
+    short = as_mesh(convex_hull(corners))
+    whole, rocks = rest_poses(body, REST), rest_poses(body, REST, (short,))
+    on_foot = [(downs(rest)[:, 2] < -1 + 1e-6).any() for rest in (whole, rocks)]
+    assert on_foot == [True, False]
