@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.rows import over_tasks, pool, task_rows
 from bidexdata import Run
-from bidexdata.record import GraspBatch
+from bidexdata.record import GraspBatch, Status
 from bidexdata.validation import Execution, load_protocol, validate_grasps
 
 LEAST = 300
@@ -56,6 +56,10 @@ def measure(
 ) -> dict[str, Any]:
     """Compare audit rows, then selected rows that fail, until enough do."""
     run = Run.open(path)
+    rows = (run.task_batch(task) for task in run.tasks)
+    many = sum(int(np.sum((b.audit | b.selected) & (b.synth_status == Status.OK))) for b in rows)
+    if many < LEAST:
+        raise SystemExit(f"{path}: {many} grasps; {LEAST} are needed")
     with pool(workers) as executor:
         pairs = _pairs(executor, run, test, protocol, "audit")
         failing = sum(not p.plain for p in pairs)
@@ -64,8 +68,6 @@ def measure(
             more = sorted(p for p in selected if not p.plain)[: wanted - failing]
             pairs += more
             failing += len(more)
-    if len(pairs) < LEAST:
-        raise SystemExit(f"{path}: {len(pairs)} grasps; {LEAST} are needed")
     return {
         "run": run.fingerprint,
         "test": test,
