@@ -54,7 +54,10 @@ def validate(
     ] = False,
     replay: Annotated[
         str | None,
-        typer.Option(metavar="GRASP_ID", help="Test one grasp of a run again and look on."),
+        typer.Option(
+            metavar="GRASP_ID",
+            help="Test one grasp of a run again and look on. The first digits of an id do.",
+        ),
     ] = None,
     video: Annotated[
         Path | None, typer.Option(metavar="FILE.mp4", help="With --replay: film it.")
@@ -257,7 +260,7 @@ def _replay(
     failed = (
         f" ({v.failed_stage.label}{where}, after {v.time:.2f} s)" if v.failed_stage >= 0 else ""
     )
-    lines = [f"grasp {grasp_id}, test {test} of {rules.name}: {v.status.sentence}{failed}"]
+    lines = [f"grasp {report.grasp_id}, test {test} of {rules.name}: {v.status.sentence}{failed}"]
     if report.stored is not None:
         lines.append(f"the run says: {report.stored}")
     if report.video is not None:

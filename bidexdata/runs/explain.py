@@ -5,7 +5,6 @@ Everything goes to RUN/explain/GRASP_ID/; nothing else of the run changes.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +14,10 @@ import numpy as np
 
 from bidexdata.config import from_plain
 from bidexdata.devices import check_device
-from bidexdata.errors import BadValue, ConfigConflict, Contradiction, NotUsable
+from bidexdata.errors import ConfigConflict, Contradiction, NotUsable
 from bidexdata.record import GraspBatch
 from bidexdata.runs.explain_words import StageWords, stage_words
+from bidexdata.runs.first_digits import id_digits, require_one
 from bidexdata.runs.made_with import made_with
 from bidexdata.runs.plan import Task, scene_of
 from bidexdata.runs.run import Run
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from bidexdata.synthesis.explain import Explanation
 
 FOLDER = "explain"
-_DIGITS = 16
 
 
 class FoundAttempt(NamedTuple):
@@ -173,11 +172,7 @@ def find_attempt(run: Run, wanted: str) -> FoundAttempt:
         BadValue: It is no hexadecimal number of at most 16 digits.
         NotUsable: There is none, or more than one.
     """
-    digits = wanted.strip().lower()
-    if not re.fullmatch(f"[0-9a-f]{{1,{_DIGITS}}}", digits):
-        raise BadValue(
-            f"--explain {wanted!r}: a grasp_id is {_DIGITS} hexadecimal digits, or the first few"
-        )
+    digits = id_digits("--explain", wanted)
     found = []
     for task in run.tasks:
         one = run.spec.rounds[task.round]
@@ -189,16 +184,7 @@ def find_attempt(run: Run, wanted: str) -> FoundAttempt:
                 for k, grasp_id in enumerate(ids)
                 if grasp_id.startswith(digits)
             ]
-    if not found:
-        raise NotUsable(
-            f"{run.path} has no grasp {wanted}; `bidexdata table {run.path} --out grasps.csv` "
-            "lists its grasps"
-        )
-    if len(found) > 1:
-        ids = listed([f.grasp_id for f in found])
-        raise NotUsable(
-            f"{len(found)} attempts of {run.path} begin with {wanted}: {ids}; give more"
-        )
+    require_one(run.path, wanted, [f.grasp_id for f in found], "attempts")
     return found[0]
 
 
