@@ -61,8 +61,8 @@ def outcome_words(test: str, status: Status, direction: int = -1) -> str:
     """
     if status is Status.OK:
         return f"passes test {test}"
-    # Hands that touch nothing drop the object under any load: the first one says nothing.
-    says = 0 <= direction < len(DIRECTIONS) and status is not Status.NO_CONTACT
+    # What had gone wrong before any load fails under each: the first one says nothing.
+    says = 0 <= direction < len(DIRECTIONS) and status not in (Status.NO_CONTACT, Status.THROWN)
     load = f" (load {DIRECTIONS[direction]})" if says else ""
     return f"fails test {test}{load}: {status.sentence}"
 
