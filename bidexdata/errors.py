@@ -124,6 +124,19 @@ class ConfigConflict(BidexError):
         )
 
 
+class LimitDropsObjects(ConfigConflict):
+    """A limit on the inputs leaves out objects that a library has of an earlier call."""
+
+    def __init__(self, folder: str | Path, limit: int, dropped: Sequence[str]):
+        self.dropped = tuple(dropped)
+        super().__init__(folder, [f"--limit {limit}"])
+        number = "1 object" if len(dropped) == 1 else f"{len(dropped)} objects"
+        self.args = (
+            f"--limit {limit} would drop {number} of an earlier call from {folder} (first: "
+            f"{dropped[0]}), and runs made from it need them: leave out --limit, or use another --out",
+        )
+
+
 class SourceChanged(ConfigConflict):
     """The library (or release) that a run was made from has other contents now."""
 

@@ -27,14 +27,16 @@ def explain(
     """Make one attempt again, write its pictures and numbers, and say what became of it."""
     from bidexdata.runs.explain import explain_grasp
     from bidexdata.runs.explain_page import headline
+    from bidexdata.runs.explain_words import StageWords
 
     started = time.perf_counter()
     report = explain_grasp(library, run, grasp_id, device=device)
     seconds = time.perf_counter() - started
-    widest = max(len(s.stage) for s in report.said)
+    told = [*report.said, *(StageWords("verdict", v.text) for v in report.verdicts)]
+    widest = max(len(s.stage) for s in told)
     lines = [
         *headline(report),
-        *(f"{s.stage:{widest}}  {s.text}" for s in report.said),
+        *(f"{s.stage:{widest}}  {s.text}" for s in told),
         f"{', '.join(str(path) for path in report.files)} in {seconds:.1f} s",
     ]
     data = {**report.as_dict(), "seconds": round(seconds, 3)}

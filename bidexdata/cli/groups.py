@@ -7,13 +7,13 @@ from typing import Any
 
 from bidexdata.cli.report import percent, table
 
-LEGEND = (
-    "means over selected rows where measured, with 95 % intervals: a bootstrap over objects where "
+_LEGEND = (
+    "means over {rows} where measured, with 95 % intervals: a bootstrap over objects where "
     "there are ten or more, Student's t over objects or, within one object, over grasps otherwise; drift seen: the "
     "largest until the row's test ended, in full, early as the object rested, or by failing"
 )
-
-
+_ROWS = {"status": "all tested rows, selected and audit,"}
+"""What a grouping counts, where that is not the selected rows."""
 _ONE = ("object", "objects")  # the column that would hold nothing but ones
 
 
@@ -34,7 +34,12 @@ def group_lines(data: Mapping[str, Any]) -> list[str]:
         untested = data.get("protocols", {}).get(protocol, {}).get("untested_objects", 0)
         if untested:
             lines.append(f"objects left out because not all their rows are tested: {untested}")
-    return [*lines, LEGEND] if lines else ["not validated yet"]
+    return [*lines, legend(by)] if lines else ["not validated yet"]
+
+
+def legend(by: str) -> str:
+    """What the tables of a grouping count, and what stands in them."""
+    return _LEGEND.format(rows=_ROWS.get(by, "selected rows"))
 
 
 def _tables(by: str, groups: Mapping[str, Any]) -> list[str]:

@@ -37,7 +37,8 @@ def info(
 
     Unselected rate = successes / N over the audit rows of each scene (N grasps asked for), every
     other status a failure. Selected rate = successes / selected rows, printed with the kept share
-    = selected / (N x scenes). Intervals are 95 %.
+    = selected / (N x scenes). Intervals are 95 %. --by groups the selected rows, --by status all tested
+    rows, selected and audit.
 
     An imported run has the key files too: read, failed, left_out (grasps), failures (file, reason).
 

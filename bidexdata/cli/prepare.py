@@ -24,7 +24,11 @@ def prepare(
     out: Annotated[Path, typer.Option(metavar="LIBRARY", help="Folder of the library.")],
     limit: Annotated[
         int | None,
-        typer.Option(min=1, help="Only the first N inputs, in the order of the sources."),
+        typer.Option(
+            min=1,
+            help="Only the first N inputs, in the order of the sources; refused where the library has "
+            "objects of the others.",
+        ),
     ] = None,
     dry_run: Annotated[
         bool,

@@ -95,7 +95,8 @@ def synth(
 
     With --explain: grasp_id, scene_id, attempt, status, reasons (every check it fails), stored,
     repeats, differing (columns), selected, audit, rank (in the order of selection), may_be_kept
-    (attempts in that order), stages (stage, text, passed), files, seconds. docs/explain.md says what
+    (attempts in that order), stages (stage, text, passed), verdicts of the
+    run (protocol, test, status, failed_stage, direction, text), files, seconds. docs/explain.md says what
     the pictures and numbers mean.
     """
     if explain is not None:

@@ -54,7 +54,10 @@ def validate(
     ] = False,
     replay: Annotated[
         str | None,
-        typer.Option(metavar="GRASP_ID", help="Test one grasp of a run again and look on."),
+        typer.Option(
+            metavar="GRASP_ID",
+            help="Test one grasp of a run again and look on. The first digits of an id do.",
+        ),
     ] = None,
     video: Annotated[
         Path | None, typer.Option(metavar="FILE.mp4", help="With --replay: film it.")
@@ -243,7 +246,7 @@ def _replay(
     quiet: bool,
 ) -> None:
     from bidexdata.kinds import expect_kind
-    from bidexdata.record.fields import DIRECTIONS
+    from bidexdata.pictures.captions import failure_place
     from bidexdata.runs.replay import replay_grasp
     from bidexdata.runs.run import Run
     from bidexdata.runs.validate import allowed_tests
@@ -253,11 +256,8 @@ def _replay(
     test = allowed_tests(run, rules, tests)[-1]
     report = replay_grasp(run, grasp_id, rules, test, video, quiet=quiet)
     v = report.verdict
-    where = f" in load {DIRECTIONS[v.direction]}" if v.direction >= 0 else ""
-    failed = (
-        f" ({v.failed_stage.label}{where}, after {v.time:.2f} s)" if v.failed_stage >= 0 else ""
-    )
-    lines = [f"grasp {grasp_id}, test {test} of {rules.name}: {v.status.sentence}{failed}"]
+    failed = failure_place(v.failed_stage, v.direction, v.time)
+    lines = [f"grasp {report.grasp_id}, test {test} of {rules.name}: {v.status.sentence}{failed}"]
     if report.stored is not None:
         lines.append(f"the run says: {report.stored}")
     if report.video is not None:

@@ -91,17 +91,14 @@ class Tally:
         for test in self.tests:
             if test in verdicts:
                 self._verdicts[test].update(_labels(verdicts[test]["verdict_status"]))
-                passed = _passed(batch, verdicts[test])[selected]
+                passed = _passed(batch, verdicts[test])
                 chosen = batch["scene_id"][selected]
-                winners = set(chosen[passed].tolist())
+                winners = set(chosen[passed[selected]].tolist())
                 for scene in np.unique(chosen).tolist():
                     self._won[test][scene_parts(scene).object_id][scene] |= scene in winners
                 self._groups[test].add(
-                    batch["object_id"][selected],
-                    batch["size_mm"][selected],
-                    hands_label(batch.header),
-                    passed,
-                    {name: column[selected] for name, column in verdicts[test].items()},
+                    *(batch["object_id"], batch["size_mm"], hands_label(batch.header)),
+                    *(passed, verdicts[test], selected),
                 )
 
     def figures(self) -> dict[str, Any]:
@@ -157,7 +154,7 @@ class Tally:
         return sorted({scene for _, scene in self._scenes} - self._kept_of)
 
     def groups(self, test: str, by: str) -> dict[str, Any]:
-        """Figures of every group of the selected rows of a test; see `GroupTally.groups`."""
+        """Figures of every group of the rows of a test; see `GroupTally.groups`."""
         return self._groups[test].groups(by)
 
     def _note_scenes(self, batch: GraspBatch, run: str) -> tuple[dict[str, int], set[str]]:

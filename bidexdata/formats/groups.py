@@ -1,6 +1,7 @@
 """Groups of tested grasps: success rate and mean of every metric, per object, size, hand, status.
 
-Rows are the selected ones that one test was run on. What is kept of them is, for every group and
+Rows are the selected ones that one test was run on; per status, the audit rows too, for selection
+leaves out most of what fails. What is kept of them is, for every group and
 object in it, a count of rows and of successes and the moments of each metric: nothing per grasp,
 about two kilobytes per object and size and per object and status. All sums are exact, so the order in
 which batches come, and how they are cut, changes nothing.
@@ -55,8 +56,9 @@ class GroupTally:
         hand: str,
         passed: np.ndarray,
         verdict: Mapping[str, np.ndarray],
+        selected: np.ndarray,
     ) -> None:
-        """Count tested, selected rows.
+        """Count rows that a test was asked for, each row once.
 
         Args:
             object_id: Object of each row, (N,).
@@ -64,29 +66,32 @@ class GroupTally:
             hand: The hands of these rows, from `hands_label`.
             passed: Rows that count as successes, (N,).
             verdict: Columns that `validate` writes, each (N,); missing metrics were not measured.
+            selected: Rows that count everywhere, (N,); the others count per status alone.
         """
         if not len(object_id):
             return
         objects, number = np.unique(object_id, return_inverse=True)
-        keys = np.stack([number, size_mm, verdict["verdict_status"]])
+        keys = np.stack([number, size_mm, verdict["verdict_status"], selected])
         order = np.lexsort(keys)
         keys, passed = keys[:, order], passed[order]
-        # Rows of one object, size and status now stand together.
+        # Rows of one object, size and status, selected or not, now stand together.
         starts = [0, *(np.flatnonzero(np.diff(keys, axis=1).any(axis=0)) + 1).tolist()]
         moments = [_measured(name, verdict, order, starts) for name in METRICS]
         ends = [*starts[1:], len(order)]
         for i, (first, last) in enumerate(zip(starts, ends, strict=True)):
             wins = int(np.count_nonzero(passed[first:last]))
             cell = Cell(last - first, wins, tuple(runs[i] for runs in moments))
-            obj, size, status = (int(key) for key in keys[:, first])
+            obj, size, status, chosen = (int(key) for key in keys[:, first])
             name = str(objects[obj])
             groups = (name, str(size), hand, Status(status).label)
             for by, group in zip(BY, groups, strict=True):
+                if status == Status.NOT_RUN if by == "status" else not chosen:
+                    continue
                 known = self._cells[by][group]
                 known[name] = known[name].joined(cell) if name in known else cell
 
     def metrics(self) -> dict[str, Any]:
-        """The mean of every metric over all rows, by name."""
+        """The mean of every metric over all selected rows, by name."""
         return _means(self._objects(self._cells["object"].values()))
 
     def groups(self, by: str) -> dict[str, Any]:

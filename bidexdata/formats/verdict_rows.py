@@ -1,4 +1,4 @@
-"""Verdicts of a release's selected rows, streamed: what figures need, and no poses."""
+"""Verdicts of a release's rows, streamed: what figures need, and no poses."""
 
 from __future__ import annotations
 
@@ -27,15 +27,23 @@ class VerdictRows(NamedTuple):
     """Columns that `validate` writes; an older release lacks some."""
 
 
-def verdict_rows(release: Release, protocol: str, test: str) -> Iterator[VerdictRows]:
-    """Yield the selected rows that a test was run on, one row group at a time.
+def verdict_rows(
+    release: Release, protocol: str, test: str, configuration: str = "selected"
+) -> Iterator[VerdictRows]:
+    """Yield the rows that a test was run on, one row group at a time.
+
+    Args:
+        release: Where.
+        protocol: Whose verdicts.
+        test: Of it.
+        configuration: `selected`, or `audit` for the audit rows that are not selected too.
 
     Raises:
         Contradiction: The verdict table has other rows than the grasps table.
     """
-    names = ["grasp_id", "object_id", "size_mm", "synth_status"]
+    names = ["grasp_id", "object_id", "size_mm", "synth_status", "selected"]
     tables = ("grasps", f"verdicts/{protocol}-{test}")
-    for files in zip(*(release.table_files(t, "selected") for t in tables), strict=True):
+    for files in zip(*(release.table_files(t, configuration) for t in tables), strict=True):
         streams = (parquet.read_groups(files[0], names), parquet.read_groups(files[1]))
         for grasps, judged in zip(*streams, strict=True):
             if not judged.column("grasp_id").equals(grasps.column("grasp_id")):
@@ -43,6 +51,9 @@ def verdict_rows(release: Release, protocol: str, test: str) -> Iterator[Verdict
             tested = judged.column("success").is_valid()
             batch = GraspBatch.from_arrow(grasps.filter(tested))
             found = GraspBatch.from_arrow(judged.filter(tested))
+            if configuration == "audit":
+                others = ~batch["selected"]
+                batch, found = batch.select(others), found.select(others)
             verdict = {name: found[name] for name in VERDICT_COLUMNS if name in found}
             passed = verdict["success"] & (batch["synth_status"] == Status.OK)
             yield VerdictRows(batch["object_id"], batch["size_mm"], passed, verdict)

@@ -9,6 +9,7 @@ from bidexdata.objects.sources.item import UNKNOWN
 from bidexdata.pictures.sheet import Caption
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.fields import DIRECTIONS
+from bidexdata.record.status import TestStage
 from bidexdata.wording import counted
 
 
@@ -60,10 +61,27 @@ def outcome_words(test: str, status: Status, direction: int = -1) -> str:
     """
     if status is Status.OK:
         return f"passes test {test}"
-    # Hands that touch nothing drop the object under any load: the first one says nothing.
-    says = 0 <= direction < len(DIRECTIONS) and status is not Status.NO_CONTACT
+    # What had gone wrong before any load fails under each: the first one says nothing.
+    says = 0 <= direction < len(DIRECTIONS) and status not in (Status.NO_CONTACT, Status.THROWN)
     load = f" (load {DIRECTIONS[direction]})" if says else ""
     return f"fails test {test}{load}: {status.sentence}"
+
+
+def failure_place(failed_stage: int, direction: int, time: float) -> str:
+    """Say where in a test a grasp failed, in brackets after a blank; empty where it did not.
+
+    Args:
+        failed_stage: A `TestStage`.
+        direction: First failing load, a place in `DIRECTIONS`; any other number means none.
+        time: Simulated since that stage began [s].
+
+    >>> failure_place(3, 2, 0.4)
+    ' (hold in load +y, after 0.40 s)'
+    """
+    if failed_stage < 0:
+        return ""
+    load = f" in load {DIRECTIONS[direction]}" if 0 <= direction < len(DIRECTIONS) else ""
+    return f" ({TestStage(failed_stage).label}{load}, after {time:.2f} s)"
 
 
 def object_caption(solid: Solid) -> Caption:

@@ -92,7 +92,7 @@ _SENTENCES = {
     Status.NOT_RUN: "the test was not run: the attempt has no grasp, or its row was left untested",
     Status.START_PENETRATION: "the pre-grasp penetrates deeper than the start check allows",
     Status.NO_CONTACT: "no hand touched the object after closing",
-    Status.THROWN: "the object left the limits while the hands were closing",
+    Status.THROWN: "the object was beyond the limits when the hands had closed",
     Status.SLIP: "the object moved farther than the limit under load",
     Status.TURNED: "the object turned farther than the limit under load",
     Status.UNSTABLE: "the simulation became unstable: numbers that are not finite, or a warning",

@@ -5,7 +5,6 @@ Everything goes to RUN/explain/GRASP_ID/; nothing else of the run changes.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +14,12 @@ import numpy as np
 
 from bidexdata.config import from_plain
 from bidexdata.devices import check_device
-from bidexdata.errors import BadValue, ConfigConflict, Contradiction, NotUsable
-from bidexdata.record import GraspBatch
+from bidexdata.errors import ConfigConflict, Contradiction, NotUsable
+from bidexdata.record import GraspBatch, Status
+from bidexdata.record.fields import DIRECTIONS
+from bidexdata.record.status import TestStage
 from bidexdata.runs.explain_words import StageWords, stage_words
+from bidexdata.runs.first_digits import id_digits, require_one
 from bidexdata.runs.made_with import made_with
 from bidexdata.runs.plan import Task, scene_of
 from bidexdata.runs.run import Run
@@ -32,7 +34,6 @@ if TYPE_CHECKING:
     from bidexdata.synthesis.explain import Explanation
 
 FOLDER = "explain"
-_DIGITS = 16
 
 
 class FoundAttempt(NamedTuple):
@@ -56,6 +57,21 @@ class Repeat(NamedTuple):
     """What made the stored rows otherwise than here: device and versions, in words."""
 
 
+class StoredVerdict(NamedTuple):
+    """What the run says of the grasp in one test."""
+
+    protocol: str
+    test: str
+    status: str
+    """Label of the `Status`."""
+    failed_stage: str
+    """Label of the `TestStage`: `start`, `closing`, `lift`, `hold` or `none`."""
+    direction: str
+    """First failing load of test f, such as `+x`; empty where no load failed."""
+    text: str
+    """All of it, for a person."""
+
+
 @dataclass(frozen=True, slots=True)
 class ExplainReport:
     """What `explain_grasp` found and wrote."""
@@ -71,6 +87,8 @@ class ExplainReport:
     repeat: Repeat
     explanation: Explanation
     said: tuple[StageWords, ...]
+    verdicts: tuple[StoredVerdict, ...]
+    """By protocol and test; empty where the run has none of the attempt."""
     files: tuple[Path, ...]
 
     def as_dict(self) -> dict[str, Any]:
@@ -90,6 +108,7 @@ class ExplainReport:
             "rank": one.rank,
             "may_be_kept": len(one.order),
             "stages": [s._asdict() for s in self.said],
+            "verdicts": [v._asdict() for v in self.verdicts],
             "files": [str(path) for path in self.files],
         }
 
@@ -161,9 +180,32 @@ def explain_grasp(
         repeat=_compared(run, task, stored, one.rows, device),
         explanation=one,
         said=said,
+        verdicts=_verdicts(run, task, named.grasp_id),
         files=(),
     )
     return _written(run, report, obj, (left, right), device)
+
+
+def _verdicts(run: Run, task: Task, grasp_id: str) -> tuple[StoredVerdict, ...]:
+    """What every test that the run has verdicts of came to for one grasp."""
+    from bidexdata.pictures.captions import failure_place
+
+    batch, found = run.task_batch(task), []
+    rows = np.flatnonzero(batch["grasp_id"] == grasp_id)
+    for protocol, test in run.verdict_tests() if len(rows) else ():
+        if not run.is_done(task, protocol, test):
+            continue
+        row = {n: c[rows[0]] for n, c in run.task_verdicts(task, batch, protocol, test).items()}
+        status, stage = Status(int(row["verdict_status"])), TestStage(int(row["failed_stage"]))
+        direction = int(row["direction"])
+        place = failure_place(stage, direction, float(row["time"]))
+        if status is Status.OK:
+            text = f"passes test {test} of {protocol}"
+        else:
+            text = f"fails test {test} of {protocol}{place}: {status.label}: {status.sentence}"
+        load = DIRECTIONS[direction] if 0 <= direction < len(DIRECTIONS) else ""
+        found.append(StoredVerdict(protocol, test, status.label, stage.label, load, text))
+    return tuple(found)
 
 
 def find_attempt(run: Run, wanted: str) -> FoundAttempt:
@@ -173,11 +215,7 @@ def find_attempt(run: Run, wanted: str) -> FoundAttempt:
         BadValue: It is no hexadecimal number of at most 16 digits.
         NotUsable: There is none, or more than one.
     """
-    digits = wanted.strip().lower()
-    if not re.fullmatch(f"[0-9a-f]{{1,{_DIGITS}}}", digits):
-        raise BadValue(
-            f"--explain {wanted!r}: a grasp_id is {_DIGITS} hexadecimal digits, or the first few"
-        )
+    digits = id_digits("--explain", wanted)
     found = []
     for task in run.tasks:
         one = run.spec.rounds[task.round]
@@ -189,16 +227,7 @@ def find_attempt(run: Run, wanted: str) -> FoundAttempt:
                 for k, grasp_id in enumerate(ids)
                 if grasp_id.startswith(digits)
             ]
-    if not found:
-        raise NotUsable(
-            f"{run.path} has no grasp {wanted}; `bidexdata table {run.path} --out grasps.csv` "
-            "lists its grasps"
-        )
-    if len(found) > 1:
-        ids = listed([f.grasp_id for f in found])
-        raise NotUsable(
-            f"{len(found)} attempts of {run.path} begin with {wanted}: {ids}; give more"
-        )
+    require_one(run.path, wanted, [f.grasp_id for f in found], "attempts")
     return found[0]
 
 

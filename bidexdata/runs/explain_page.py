@@ -70,6 +70,8 @@ def explain_page(report: ExplainReport, hands: Sequence[Hand], run_fingerprint: 
         "## Stages",
         "\n".join(f"- **{s.stage}**{_mark(s.passed)}: {s.text}" for s in report.said),
     ]
+    if report.verdicts:
+        parts += ["## Verdicts of the run", "\n".join(f"- {v.text}" for v in report.verdicts)]
     if one.trace is not None:
         parts += ["![energies](energies.png)"]
     if one.moments:

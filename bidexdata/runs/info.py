@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from bidexdata.errors import NotUsable, UnknownName
 from bidexdata.kinds import expect_kind
 from bidexdata.record import Status
@@ -213,7 +215,7 @@ def describe_release(
 
 
 def release_groups(release: Release, by: str, tests: Iterable[tuple[str, str]]) -> dict[str, Any]:
-    """Figures of every group per protocol and test, from the selected rows, row group by row group.
+    """Figures of every group per protocol and test, from the rows, row group by row group.
 
     The manifest states those of few groups only, and only of the default protocol.
     """
@@ -223,9 +225,12 @@ def release_groups(release: Release, by: str, tests: Iterable[tuple[str, str]]) 
     found: dict[str, Any] = {}
     for protocol, test in tests:
         tally = GroupTally()
-        for rows in verdict_rows(release, protocol, test):
-            tally.add(
-                rows.object_id, rows.size_mm, hands_label(release.header), rows.passed, rows.verdict
-            )
+        for configuration in release.configurations if by == "status" else ("selected",):
+            for rows in verdict_rows(release, protocol, test, configuration):
+                tally.add(
+                    *(rows.object_id, rows.size_mm, hands_label(release.header)),
+                    *(rows.passed, rows.verdict),
+                    np.full(len(rows.object_id), configuration == "selected"),
+                )
         found.setdefault(protocol, {})[test] = tally.groups(by)
     return found

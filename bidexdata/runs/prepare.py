@@ -8,10 +8,11 @@ the same inputs and configuration give the same bytes.
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from bidexdata.errors import BidexError
+from bidexdata.errors import BidexError, LimitDropsObjects
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.identity import object_id_of, source_identity
@@ -53,7 +54,7 @@ def prepare_library(
         sources: As `bidexdata.objects.sources.resolve_sources` takes them.
         out: Folder of the library; complete objects in it are kept.
         config: Every tolerance and bound.
-        limit: Only the first so many inputs.
+        limit: Only the first so many inputs; refused where the library has objects of the others.
         dry_run: List the inputs and write nothing. With bounds on shapes (`select`) every input is
             read and repaired, to tell which would be left out; near duplicates are not looked for.
         executor: `processes`, or `inline` or `ray`, which set no limits of memory and time.
@@ -64,15 +65,19 @@ def prepare_library(
 
     Raises:
         PathNotFound: A source does not exist.
-        ConfigConflict: The folder holds objects that were made with another configuration.
+        ConfigConflict: The folder holds objects that were made with another configuration, or of
+            inputs beyond `limit`.
     """
     check_executor(executor, workers)
     config = config or PrepareConfig()
     start = time.monotonic()
-    items = resolve_sources(sources)[: None if limit is None else max(limit, 0)]
+    every = resolve_sources(sources)
+    number = len(every) if limit is None else max(limit, 0)
     check_out(out, config)
-    items = fetched(items)
     earlier = _earlier(out)
+    if earlier is not None and not dry_run:
+        _refuse_to_drop(earlier, every, number)
+    items = fetched(every[:number])
     rows, tasks = _plan(items, out, config, _contents(earlier))
     mine = take_shard(range(len(items)), shard)
     my_tasks = {n: tasks[n] for n in mine if n in tasks}
@@ -126,6 +131,19 @@ def _earlier(out: Path) -> Library | None:
         return Library.open(out)
     except BidexError:
         return None
+
+
+def _refuse_to_drop(earlier: Library, items: Sequence[SourceItem], number: int) -> None:
+    """Refuse to take the first inputs alone where the library has objects of the others.
+
+    Objects are told by their source's name: nothing beyond the limit is read or downloaded.
+    """
+    rows = (r for r in earlier.index.to_pylist() if r["status"] == Status.OK)
+    there = Counter(r["source_name"] for r in rows)
+    first, rest = (Counter(i.source_name for i in p) for p in (items[:number], items[number:]))
+    dropped = list(((there - first) & rest).elements())
+    if dropped:
+        raise LimitDropsObjects(earlier.path, number, dropped)
 
 
 def _contents(earlier: Library | None) -> dict[str, str]:

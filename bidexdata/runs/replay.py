@@ -12,12 +12,14 @@ import numpy as np
 from bidexdata.errors import BadConfig, NotUsable
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.batch import in_metres
+from bidexdata.runs.first_digits import DIGITS, id_digits, require_one
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.run import Run
 from bidexdata.runs.shards import read_mark, shard_path
 
 if TYPE_CHECKING:
     from bidexdata.pictures.simulated import SimulatedPose
+    from bidexdata.runs.plan import Task
     from bidexdata.simulation.scene import SimScene
     from bidexdata.validation.protocols import Protocol
     from bidexdata.validation.verdict import Verdict
@@ -73,7 +75,7 @@ class Replay:
 
 def replay_grasp(
     run: Run,
-    grasp_id: str,
+    wanted: str,
     protocol: Protocol,
     test: str,
     video: str | Path | None = None,
@@ -84,14 +86,15 @@ def replay_grasp(
 
     Args:
         run: The run.
-        grasp_id: Of one of its rows that has a grasp.
+        wanted: The grasp_id of one of its rows that has a grasp, or the first digits of it.
         protocol: The settings.
         test: Which test.
         video: An .mp4 file to write.
         quiet: No progress bar.
 
     Raises:
-        NotUsable: No such grasp, a row without a pose, or no scene can be built.
+        BadValue: `wanted` is no such number.
+        NotUsable: No such grasp, or several, a row without a pose, or no scene can be built.
         BadConfig: The video's ending is another.
         MissingExtra: The package that writes videos is not installed.
     """
@@ -104,7 +107,8 @@ def replay_grasp(
     path = None if video is None else Path(video)
     if path is not None:
         _check_video(path)
-    batch, stored, plain = _row(run, grasp_id, protocol.name, test)
+    batch, stored, plain = _row(run, wanted, protocol.name, test)
+    grasp_id = str(batch["grasp_id"][0])
     hands, solid = run.hands(), run.load_solid(str(batch["object_id"][0]))
     before = Status(int(statuses_before(batch, hands)[0]))
     if before is not Status.OK:
@@ -130,26 +134,31 @@ def _check_video(path: Path) -> None:
     require_encoder()
 
 
-def _row(run: Run, grasp_id: str, protocol: str, test: str) -> tuple[GraspBatch, str | None, bool]:
+def _row(run: Run, wanted: str, protocol: str, test: str) -> tuple[GraspBatch, str | None, bool]:
     """The row, the label of its stored verdict, and whether that is of a plain simulation."""
-    done, judged = run.done(), run.done(protocol, test)
-    for task in run.tasks:
-        if task.task_id not in done:
-            continue
+    task, batch, row = _stored(run, wanted)
+    stored, plain = None, False
+    if run.is_done(task, protocol, test):
+        path = shard_path(run.stage_folder("validate", protocol, test), task.task_id)
+        plain = bool(read_mark(path).notes.get("execution", {}).get("plain", False))
+        verdicts = run.task_verdicts(task, batch, protocol, test)
+        stored = Status(int(verdicts["verdict_status"][row])).label
+    return batch.select(np.arange(len(batch)) == row), stored, plain
+
+
+def _stored(run: Run, wanted: str) -> tuple[Task, GraspBatch, int]:
+    """The stored grasp whose id begins with some digits: its task, with all rows, and its row."""
+    digits, done = id_digits("--replay", wanted), run.done()
+    found = []
+    for task in (t for t in run.tasks if t.task_id in done):
         batch = run.task_batch(task)
-        rows = np.flatnonzero(batch["grasp_id"] == grasp_id)
-        if len(rows) == 0:
-            continue
-        stored, plain = None, False
-        if task.task_id in judged:
-            path = shard_path(run.stage_folder("validate", protocol, test), task.task_id)
-            plain = bool(read_mark(path).notes.get("execution", {}).get("plain", False))
-            verdicts = run.task_verdicts(task, batch, protocol, test)
-            stored = Status(int(verdicts["verdict_status"][rows[0]])).label
-        mask = np.zeros(len(batch), bool)
-        mask[rows[0]] = True
-        return batch.select(mask), stored, plain
-    raise NotUsable(f"{run.path} has no grasp {grasp_id}; `bidexdata table` lists its grasps")
+        rows = np.flatnonzero(np.strings.startswith(batch["grasp_id"].astype(str), digits))
+        found += [(task, batch, int(row)) for row in rows]
+        if found and len(digits) == DIGITS:  # no other grasp has all of them
+            break
+    ids = [str(batch["grasp_id"][row]) for _, batch, row in found]
+    require_one(run.path, wanted, ids, "stored grasps")
+    return found[0]
 
 
 def _keep(moments: list[Moment]) -> Callable[[str, float, SimScene], None]:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bidexdata.config import OMIT_NONE, from_plain, load_yaml, merge, to_plain
-from bidexdata.errors import BadConfig, NotUsable, UnknownName
+from bidexdata.errors import BadConfig, NotUsable, PathNotFound, UnknownName
 from bidexdata.record.fields import DIRECTIONS, JUDGED
 from bidexdata.simulation.settings import SceneSettings
 
@@ -291,10 +291,20 @@ def _from_file(path: Path, above: tuple[Path, ...] = ()) -> Protocol:
 
 
 def _base(name: str, path: Path, chain: tuple[Path, ...]) -> Protocol:
-    """The protocol that a file changes: a named one, or a file found from its own folder."""
+    """The protocol that a file changes: a named one, or a file found from its own folder.
+
+    Raises:
+        BadConfig: There is none; the message names the file that asks for it.
+    """
     if name.endswith(_FILES):
-        return _from_file(path.parent / name, chain)
-    return load_protocol(name)
+        other = path.parent / name
+        if not other.is_file():
+            raise BadConfig(f"{path}: base: {PathNotFound(other, 'a YAML file')}")
+        return _from_file(other, chain)
+    try:
+        return load_protocol(name)
+    except NotUsable as err:  # no such name, or one of MuJoCo Warp's verdicts
+        raise BadConfig(f"{path}: base: {err}") from err
 
 
 def require_own_name(protocol: Protocol, where: str = "") -> None:

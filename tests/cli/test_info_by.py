@@ -6,7 +6,7 @@ import re
 import pytest
 from made_release import made_release
 
-from bidexdata.cli.groups import LEGEND, group_lines
+from bidexdata.cli.groups import group_lines, legend
 from bidexdata.cli.main import COMMANDS, run
 from bidexdata.formats.groups import BY
 from bidexdata.formats.metric_text import BLOCKS
@@ -30,7 +30,7 @@ def test_every_group_has_its_rows_and_means(by, release, capsys):
     assert set(data) <= set(re.findall(r"\w+", COMMANDS["info"].__doc__ or ""))
     groups = data["groups"]["paper-1"]["f"]
     assert said[1] == f"test f of paper-1, by {by}"
-    assert said[-1] == LEGEND
+    assert said[-1] == legend(by)
     heads = [i for i, line in enumerate(said) if line.startswith(f"{by} ")]
     assert len(heads) == 3  # nothing was measured that only an option measures
     assert all(heads[i + 1] - heads[i] == len(groups) + 1 for i in range(2))
@@ -41,6 +41,7 @@ def test_every_group_has_its_rows_and_means(by, release, capsys):
     pd = shown["metrics"]["pd"]
     assert f"{1000 * pd['mean']:.2f} ({1000 * pd['low']:.2f}-{1000 * pd['high']:.2f})" in first
     assert ("%" in first) == (by != "status")
+    assert ("selected and audit" in said[-1]) == (by == "status")
 
 
 def test_the_lines_of_info_give_the_intervals(release, capsys):

@@ -302,6 +302,25 @@ def test_a_replay_gives_the_verdict_of_the_run_and_films_it(
     assert f"{frames} of {frames} pictures (100 %)" in told.err
 
 
+def test_a_replay_takes_the_first_digits_of_an_id_when_they_are_one_grasps(
+    floating, capsys, monkeypatch
+):
+    monkeypatch.setattr(replay, "FPS", 2)
+    ids = np.concatenate([b.grasp_id for b in Run.open(floating).batches()]).astype(str).tolist()
+    shortest = next(n for n in range(1, 17) if sum(i.startswith(ids[0][:n]) for i in ids) == 1)
+    words = ["validate", str(floating), "--replay"]
+    assert run([*words, ids[0][:shortest].upper(), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["grasp_id"] == ids[0]
+    # So few ids may all begin differently: every task twice, and so is every id.
+    opened = Run.open(floating)
+    monkeypatch.setitem(vars(opened), "tasks", (*opened.tasks, *opened.tasks))
+    with pytest.raises(NotUsable) as caught:
+        replay.replay_grasp(opened, ids[0][:shortest], load_protocol("paper-1"), "f")
+    said = str(caught.value)
+    assert f"2 stored grasps of {floating} begin with {ids[0][:shortest]}: " in said
+    assert said.endswith("; give more")
+
+
 def test_moments_of_a_replay_follow_each_other_as_they_were_simulated(floating, monkeypatch):
     """Every load begins where the one before ended, and is first seen after its first steps."""
     monkeypatch.setattr(replay, "FPS", 1e6)  # every look is kept
@@ -324,6 +343,7 @@ def test_moments_of_a_replay_follow_each_other_as_they_were_simulated(floating, 
     ("words", "code", "says"),
     [
         (["--replay", "0" * 16], 3, "has no grasp"),
+        (["--replay", "grasp"], 2, "--replay 'grasp': a grasp_id is 16 hexadecimal digits"),
         (["--video", "x.mp4"], 2, "--replay"),
         (
             ["--replay", "0" * 16, "--load-margin", "--out", "x"],

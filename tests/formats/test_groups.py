@@ -45,7 +45,11 @@ def made_columns(seed: int, n: int = 200) -> dict[str, np.ndarray]:
 def counted(parts: Sequence[dict[str, np.ndarray]]) -> GroupTally:
     tally = GroupTally()
     for part in parts:
-        tally.add(part["object_id"], part["size_mm"], HANDS, part["success"], part)
+        selected = part.get("selected", np.ones(len(part["pd"]), bool))
+        tally.add(
+            *(part["object_id"], part["size_mm"], HANDS, part["success"], part),
+            selected,
+        )
     return tally
 
 
@@ -93,6 +97,21 @@ def test_every_group_counts_its_own_rows(by):
         wins = [int((columns["success"] & rows).sum()) for rows in of_object]
         rows = [int(rows.sum()) for rows in of_object]
         assert found["selected"] == clustered_interval(wins, rows).to_dict()
+
+
+def test_audit_rows_count_per_status_alone_and_what_no_test_saw_in_none():
+    columns = made_columns(3)
+    selected = columns["verdict_status"] == Status.OK  # as selection has it, nearly
+    everything_counted = counted([{**columns, "selected": selected}])
+    chosen = counted([{name: column[selected] for name, column in columns.items()}])
+    for by in ("object", "size", "hand"):
+        assert everything_counted.groups(by) == chosen.groups(by)
+    assert everything_counted.metrics() == chosen.metrics()
+    assert everything_counted.groups("status") == counted([columns]).groups("status")
+    assert set(chosen.groups("status")) == {"ok"}
+    unseen = np.where(selected, columns["verdict_status"], np.int8(Status.NOT_RUN))
+    of_all = counted([{**columns, "selected": selected, "verdict_status": unseen}])
+    assert of_all.groups("status") == chosen.groups("status")
 
 
 def test_sizes_stand_in_order_of_size():

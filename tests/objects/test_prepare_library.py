@@ -216,6 +216,27 @@ def test_limit_takes_the_first_inputs(tmp_path, meshes, small):
     assert run([meshes], tmp_path / "lib", small).resumed == 1
 
 
+def test_a_limit_that_would_drop_settled_objects_is_refused_and_writes_nothing(
+    tmp_path, meshes, small
+):
+    out = tmp_path / "lib"
+    whole = run([meshes], out, small)
+    before, last = files(out), whole.rows[4]["source_name"]
+    with pytest.raises(ConfigConflict) as caught:
+        run([meshes], out, small, limit=3)
+    assert caught.value.exit_code == 5
+    said = str(caught.value)
+    assert said.startswith(
+        f"--limit 3 would drop 1 object of an earlier call from {out} (first: {last}"
+    )
+    assert "leave out --limit, or use another --out" in said
+    assert files(out) == before
+    assert len(run([meshes], out, small, limit=3, dry_run=True).rows) == 3
+    # A limit that drops no object, and other sources, are no such thing.
+    assert run([meshes], out, small, limit=5).fingerprint == whole.fingerprint
+    assert run(["shapes:box", "shapes:cone"], out, small, limit=1).prepared == 1
+
+
 def test_a_dry_run_lists_the_inputs_and_writes_nothing(tmp_path, meshes, small):
     report = run([meshes, "shapes"], tmp_path / "lib", small, dry_run=True)
     assert len(report.rows) > 10

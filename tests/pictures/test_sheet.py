@@ -181,4 +181,7 @@ def test_an_object_caption_counts_pieces_and_warns():
 def test_a_load_is_named_only_where_it_says_something():
     assert "(load -x)" in outcome_words("f", Status.SLIP, 1)
     assert "load" not in outcome_words("f", Status.NO_CONTACT, 1)
+    assert outcome_words("f", Status.THROWN, 1) == (
+        "fails test f: the object was beyond the limits when the hands had closed"
+    )
     assert "(load" not in outcome_words("l", Status.SLIP, -1)

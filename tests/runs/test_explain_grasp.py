@@ -16,6 +16,8 @@ import pytest
 from bidexdata.cli.main import run as command
 from bidexdata.errors import BadValue, Contradiction, NotUsable
 from bidexdata.record import GraspBatch, Status
+from bidexdata.record.fields import DIRECTIONS
+from bidexdata.record.status import TestStage
 from bidexdata.runs.explain import ExplainReport, explain_grasp, find_attempt, same_rows
 from bidexdata.runs.run import Run
 from bidexdata.runs.shards import read_mark, shard_path, write_shard
@@ -230,6 +232,37 @@ def test_the_command_says_a_line_per_stage(
     told = json.loads(json.dumps(report.as_dict()))
     assert [s["stage"] for s in told["stages"]] == stages
     assert told["status"] == Status.OK.label
+
+
+def test_the_verdicts_of_the_run_are_told(
+    library: Path, made: Run, report: ExplainReport, capsys: pytest.CaptureFixture
+):
+    assert report.verdicts == ()
+    folder = library.parent / "tested"
+    shutil.copytree(made.path, folder)
+    heavy = ["--set", "name=heavy", "--set", "gravity=1000.0", "--executor", "inline"]
+    assert command(["validate", str(folder), *heavy, "--quiet"]) == 6  # not one holds
+    grasp_id = report.grasp_id
+    capsys.readouterr()
+    asked = ["synth", str(library), "--out", str(folder), "--explain", grasp_id]
+    assert command(asked) == 0
+    said = capsys.readouterr().out
+    assert command([*asked, "--json"]) == 0
+    (told,) = json.loads(capsys.readouterr().out)["verdicts"]
+    of_task = (b.select(b["grasp_id"] == grasp_id) for b in Run.open(folder).batches("heavy", "f"))
+    (row,) = (b for b in of_task if len(b))
+    status, direction = Status(int(row["verdict_status"][0])), int(row["direction"][0])
+    assert status is not Status.OK
+    assert direction >= 0
+    assert (told["protocol"], told["test"], told["status"]) == ("heavy", "f", status.label)
+    assert told["failed_stage"] == TestStage(int(row["failed_stage"][0])).label
+    assert told["direction"] == DIRECTIONS[direction]
+    assert f"({told['failed_stage']} in load {told['direction']}, after" in told["text"]
+    assert f"{status.label}: {status.sentence}" in told["text"]
+    (line,) = (x for x in said.splitlines() if x.startswith("verdict"))
+    assert line.endswith(told["text"])
+    page = (folder / "explain" / grasp_id / "explain.md").read_text()
+    assert f"- {told['text']}" in page
 
 
 def test_no_attempt_is_repeated_wrongly(made: Run):

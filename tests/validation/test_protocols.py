@@ -93,6 +93,24 @@ def test_a_base_is_found_beside_the_file_that_names_it(tmp_path, monkeypatch):
         assert (found.name, found.hold, found.scene.mass) == ("second-1", 1.0, 0.5)
 
 
+@pytest.mark.parametrize(
+    ("base", "says"),
+    [
+        ("paper-l", "no protocol is called 'paper-l' (did you mean 'paper-1'?)"),
+        ("paper-1-warp", "use --protocol paper-1"),
+        ("nowhere.yaml", "no such file"),
+    ],
+)
+def test_a_base_that_is_not_there_is_named_with_the_file_that_asks_for_it(tmp_path, base, says):
+    first = written(tmp_path / "mine" / "first.yaml", base, "first-1")
+    second = written(tmp_path / "mine" / "second.yaml", "first.yaml", "second-1")
+    for path in (first, second):
+        with pytest.raises(BadConfig) as caught:
+            load_protocol(path)
+        assert str(caught.value).startswith(f"{first}: base: ")
+        assert says in str(caught.value)
+
+
 @pytest.mark.parametrize("bases", [["a.yaml"], ["b.yaml", "a.yaml"], ["b.yaml", "../x/b.yaml"]])
 def test_a_file_that_leads_back_to_itself_is_refused(tmp_path, bases):
     names = ("a", "b")
