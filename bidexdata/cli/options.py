@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
@@ -106,8 +106,16 @@ def parse_words(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
-def configured(base: T, config: Path | None, assignments: list[str] | None) -> T:
+def configured(
+    base: T, config: Path | None, assignments: list[str] | None, *, own: Sequence[str] = ()
+) -> T:
     """Apply `--config FILE`, then every `--set KEY=VALUE`, to a configuration.
+
+    Args:
+        base: What is changed.
+        config: The file.
+        assignments: The assignments.
+        own: Options of the command that a person may take for keys, such as `--sizes`.
 
     Raises:
         BadValue: A value is malformed or outside its range, as for an option of its own.
@@ -123,7 +131,12 @@ def configured(base: T, config: Path | None, assignments: list[str] | None) -> T
         if changes:
             base = from_plain(type(base), merge(to_plain(base), changes), f"{config}:")
         return with_overrides(base, assignments or [])
-    except (UnknownKey, UnknownChoice):
+    except UnknownKey as err:
+        option = f"--{err.key.replace('_', '-')}"
+        if option in own:
+            err.args = (f"{err}; it is an option of its own: {option}",)
+        raise
+    except UnknownChoice:
         raise
     except BadConfig as err:
         raise BadValue(str(err)) from err

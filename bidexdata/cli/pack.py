@@ -72,7 +72,7 @@ def pack(
     for run in report.half_tested:
         rows = counted(run.rows, "row")
         missing = f"run {run.name}: {run.rows - run.tested} of {rows} not tested"
-        warn(f"{missing}; run: {validate_again(run.path, report.protocol)}")
+        warn(f"{missing}; `{validate_again(run.path, report.protocol)}` tests them")
     if report.untested:
         objects = counted(report.untested, "object has", "objects have")
         warn(f"{objects} no verdicts in the release, as some of their rows are not tested")
@@ -89,10 +89,7 @@ def pack(
         **report.figures,
     }
     lines = [*figure_lines(report.figures, report.protocol), f"written to {report.path}"]
-    finish(
-        data,
-        lines,
-        following=command("verify", out),
-        as_json=as_json,
-        quiet=quiet,
-    )
+    following = command("verify", out)
+    if report.half_tested:  # a release of what nobody has tested is rarely what was meant
+        following = validate_again(report.half_tested[0].path, report.protocol)
+    finish(data, lines, following=following, as_json=as_json, quiet=quiet)

@@ -25,6 +25,12 @@ from bidexdata.cli.report import (
 from bidexdata.synthesis.method_names import DEFAULT_METHOD
 from bidexdata.wording import counted
 
+_OPTIONS = (
+    *("--hand", "--sizes", "--grasps", "--candidates", "--setting", "--rest-poses"),
+    *("--preset", "--method", "--device", "--seed"),
+)
+"""What a person may look for among the keys of the configuration."""
+
 
 def synth(
     library: Annotated[Path, typer.Argument(metavar="LIBRARY", help="Made by prepare.")],
@@ -131,7 +137,7 @@ def synth(
     sizes_mm = PAPER_SIZES_MM if sizes is None else options.parse_sizes(sizes)
     execution = options.execution_of(executor, workers, shard, quiet)
     request = SynthRequest(
-        config=options.configured(base, config, assignments),
+        config=options.configured(base, config, assignments, own=_OPTIONS),
         method=method,
         preset=preset,
         hand=hand,

@@ -160,6 +160,8 @@ NAMED = [
     ([*SYNTH, "--config", "{tmp}/word.yaml"], "one of random, force, torque"),
     # a key that does not exist
     ([*SYNTH, "--set", "regions.anchorz=3"], "did you mean 'anchors'?"),
+    ([*SYNTH, "--set", "sizes=0.3"], "it is an option of its own: --sizes"),
+    ([*SYNTH, "--set", "rest_poses=2"], "it is an option of its own: --rest-poses"),
     ([*SYNTH, "--config", "{tmp}/key.yaml"], "key.yaml: regions has no key 'anchorz'"),
     ([*PREPARE, "--set", "convex.thresold=1"], "did you mean 'threshold'?"),
 ]

@@ -417,8 +417,12 @@ def test_pack_says_how_many_rows_are_not_tested(whole: Path, tmp_path: Path, cap
         assert run(["pack", str(folder), "--out", str(tmp_path / str(number)), *names]) == 0
         assert (
             f"run half: {total - tested} of {total} rows not tested; "
-            f"run: bidexdata validate {folder}\n"
+            f"`bidexdata validate {folder}` tests them\n"
         ) in capsys.readouterr().err
+    for packed, following in ((folder, f"validate {folder}"), (whole, f"verify {tmp_path / 'r'}")):
+        shutil.rmtree(tmp_path / "r", ignore_errors=True)
+        assert run(["pack", str(packed), "--out", str(tmp_path / "r"), *names[:-1]]) == 0
+        assert capsys.readouterr().out.endswith(f"\nnext: bidexdata {following}\n")
 
 
 def test_one_flipped_byte_gives_4_and_names_the_file(

@@ -178,6 +178,25 @@ def test_an_object_caption_counts_pieces_and_warns():
     assert caption.lines[1] == "a <warning>"
 
 
+@pytest.mark.parametrize(
+    ("warnings", "shown"),
+    [
+        ((), ""),
+        (("1 hole closed, at most 0.0% of a component's area",), ""),
+        (("1 hole closed, at most 4.0% of a component's area", "open parts with 2.0%"), 0),
+        (("1 hole closed, at most 0.0% of it", "2 double faces dropped"), 1),
+        (("2 double faces dropped", "open parts with 12.5% of the area dropped"), 1),
+        (("open parts with 12.5%", "the repair is up to 2.1% of the diagonal from the file"), 1),
+        (("seams of 9%", "the convex pieces have 1.40 times the volume of the mesh"), 1),
+    ],
+)
+def test_an_object_caption_has_the_warning_that_says_most(warnings, shown):
+    solid = box_solid("box0-00000000")
+    warned = dataclasses.replace(solid, provenance={**solid.provenance, "warnings": warnings})
+    said = object_caption(warned).lines[1]
+    assert said == (shown if isinstance(shown, str) else warnings[shown])
+
+
 def test_a_load_is_named_only_where_it_says_something():
     assert "(load -x)" in outcome_words("f", Status.SLIP, 1)
     assert "load" not in outcome_words("f", Status.NO_CONTACT, 1)
