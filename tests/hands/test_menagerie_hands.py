@@ -29,7 +29,8 @@ def test_the_spec_fits_its_models(name):
     assert len(hands) == 2
     for hand in hands:
         assert (len(hand.joint_names), len(hand.actuator_names)) == (16, 16)
-        assert len(hand.fingers) == len(hand.contact_names) == 4
+        assert len(hand.fingers) == hand.fingertips == 4
+        assert hand.contact_part == ("fingertip",) * 4 + ("palm",) * 5
 
 
 def test_joints_that_spread_the_fingers_turn_the_other_way_on_the_other_side(name):
@@ -45,5 +46,5 @@ def test_joints_that_spread_the_fingers_turn_the_other_way_on_the_other_side(nam
 
 def test_both_hands_hold_a_box(name):
     trial = try_grasps(load_hands(name), 0)
-    assert trial.batch["contact_force"].shape[2] == 4
+    assert trial.batch["contact_force"].shape[2] == 9
     assert trial.success.sum() >= 3
