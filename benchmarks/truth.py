@@ -56,10 +56,7 @@ def measure(
 ) -> dict[str, Any]:
     """Compare audit rows, then selected rows that fail, until enough do."""
     run = Run.open(path)
-    rows = (run.task_batch(task) for task in run.tasks)
-    many = sum(int(np.sum((b.audit | b.selected) & (b.synth_status == Status.OK))) for b in rows)
-    if many < LEAST:
-        raise SystemExit(f"{path}: {many} grasps; {LEAST} are needed")
+    _require_enough(path, _rows_at_most(run, selected=wanted > 0))  # before anything is simulated
     with pool(workers) as executor:
         pairs = _pairs(executor, run, test, protocol, "audit")
         failing = sum(not p.plain for p in pairs)
@@ -68,6 +65,7 @@ def measure(
             more = sorted(p for p in selected if not p.plain)[: wanted - failing]
             pairs += more
             failing += len(more)
+    _require_enough(path, len(pairs))
     return {
         "run": run.fingerprint,
         "test": test,
@@ -83,6 +81,20 @@ def measure(
             if p.quick != p.plain
         },
     }
+
+
+def _rows_at_most(run: Run, *, selected: bool) -> int:
+    """How many rows with a grasp can be compared: audit rows, and selected ones where they are."""
+    batches = (run.task_batch(task) for task in run.tasks)
+    return sum(
+        int(np.sum((b.audit | (b.selected & selected)) & (b.synth_status == Status.OK)))
+        for b in batches
+    )
+
+
+def _require_enough(path: str, grasps: int) -> None:
+    if grasps < LEAST:
+        raise SystemExit(f"{path}: {grasps} grasps; {LEAST} are needed")
 
 
 def _pairs(

@@ -1,8 +1,8 @@
 """Poses in which a solid rests on a table, with probabilities.
 
 The hull says exactly which poses there are: a facet carries the body when the centre of mass is
-over it. Drops in MuJoCo say how often each is reached, and leave out those that never are; put down in what
-is left, the body must stay. A pose
+over it. Drops in MuJoCo say how often each is reached, and leave out those that never are;
+put down in what is left, the body must stay. A pose
 is a direction that points down, so what differs by a rotation about z alone is one pose.
 """
 

@@ -182,7 +182,7 @@ def best(
         config: Limits.
 
     Source:
-        docs/measurements.md, 6 (89 -> 99.7 % for the best 8 of 32), 14 and 19.
+        docs/measurements.md, 6 (89 -> 99.7 % for the best 8 of 32), 14, 19 and 21.
     """
     chosen = np.zeros(len(status), bool)
     chosen[selection_order(status, depth, residual, doubt, places, config)[:count]] = True
