@@ -3,6 +3,7 @@
 Area under the ROC curve over the audit rows with a grasp that a run's verdicts are of: the chance
 that a grasp that fails has the larger figure than one that passes. 0.5 says nothing, 1 is perfect.
 Constants were tuned on objects whose file's sha256 begins with 0 to 7 (`tune`), the others are `held_out`.
+`--set friction=0.5` closes the hands on the objects anew, with other numbers of the quasi-static model.
 Beside it, how many pre-grasps overlap the object on the hands' own geometry, and how many of those
 and of the others pass. The tables go into docs/measurements.md.
 """
@@ -18,10 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata import Run
+from bidexdata.config import with_overrides
+from bidexdata.loaders.poses import poses_in_object_frame
 from bidexdata.record import GraspBatch, Status
 from bidexdata.simulation.distances import pregrasp_penetration
+from bidexdata.synthesis.distance_field import device_field
+from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.selection import LEAST_RESIDUAL, LEAST_TURN, doubts
-from bidexdata.synthesis.settling import Settled
+from bidexdata.synthesis.settling import Settled, SettlingConfig, settled
 
 TUNE = "01234567"
 """First digits of the sha256 of files that constants were tuned on."""
@@ -50,23 +55,40 @@ def auc(figure: NDArray[np.float64], failed: NDArray[np.bool_]) -> float:
     return float(mannwhitneyu(bad, good).statistic / (len(bad) * len(good)))
 
 
-def measure(path: str, protocol: str, test: str) -> dict[str, Any]:
-    """The figure of every criterion, over all audit rows and for each cause of failure."""
-    batches = [b.select(b.audit) for b in Run.open(path).batches(protocol, test)]
-    rows = GraspBatch.concat([b.select(b["synth_status"] == Status.OK) for b in batches])
+def measure(
+    path: str, protocol: str, test: str, model: SettlingConfig | None = None
+) -> dict[str, Any]:
+    """The figure of every criterion, over all audit rows and for each cause of failure.
+
+    Args:
+        path: Of the run.
+        protocol: Whose verdicts.
+        test: `f` or `l`.
+        model: Closes the hands anew by these numbers; the figures of the run when omitted.
+    """
+    run = Run.open(path)
+    batches = [run.task_batch(task, protocol, test) for task in run.tasks]
+    batches = [b.select(b.audit & (b["synth_status"] == Status.OK)) for b in batches]
+    rows = GraspBatch.concat(batches)
+    if model is None:
+        rest = Settled(*(rows[f"settled_{name}"].astype(np.float64) for name in Settled._fields))
+    else:
+        anew = [_closed_anew(run, b, model) for b in batches if len(b)]
+        rest = Settled(*(np.concatenate(parts) for parts in zip(*anew, strict=True)))
+    closed = {f"settled_{name}": values for name, values in rest._asdict().items()}
     failed, status = ~rows["success"], rows["verdict_status"]
     causes = [Status(int(s)) for s in np.unique(status[failed])]
     tuned = np.array([str(name).rsplit("-", 1)[-1][0] in TUNE for name in rows.object_id])
     found: dict[str, Any] = {"n": len(rows), "failed": int(failed.sum()), "auc": {}}
     for name, words in CRITERIA.items():
-        figure = rows[name].astype(np.float64) * (-1 if name in FEWER_FAIL else 1)
+        figure = closed[name] if name in closed else rows[name].astype(np.float64)
+        figure = figure * (-1 if name in FEWER_FAIL else 1)
         of = _halves(figure, failed, tuned)
         for cause in causes:
             among = ~failed | (status == cause)
             of[cause.label] = auc(figure[among], failed[among])
         found["auc"][words] = of
     hands = rows["qp_residual_hand"].astype(np.float64).max(axis=1)
-    rest = Settled(*(rows[f"settled_{name}"].astype(np.float64) for name in Settled._fields))
     doubt = doubts(rows["qp_residual_shifted"].astype(np.float64), rest)
     found["exponents"] = {
         name: _exponents(rows["qp_residual_shifted"].astype(np.float64), rest, failed, among)
@@ -75,6 +97,25 @@ def measure(path: str, protocol: str, test: str) -> dict[str, Any]:
     found["auc"]["doubt, the order of the selection"] = _halves(doubt, failed, tuned)
     found["auc"]["residual of the worse hand alone"] = _halves(hands, failed, tuned)
     return found
+
+
+def _closed_anew(run: Run, rows: GraspBatch, model: SettlingConfig) -> Settled:
+    """What another model says of the rows of one object."""
+    obj, hands = run.library.load(str(rows.object_id[0])), (run.hands()[0], run.hands()[1])
+    where = (rows["object_pos"], rows["object_quat_wxyz"])
+    position, quat = poses_in_object_frame(*where, rows["hand_pos"], rows["hand_quat_wxyz"])
+    stages = [
+        Pose(
+            *(position[:, :, stage].astype(np.float64), quat[:, :, stage].astype(np.float64)),
+            (
+                rows["joints"][:, 0, stage, : len(hands[0].joint_names)].astype(np.float64),
+                rows["joints"][:, 1, stage, : len(hands[1].joint_names)].astype(np.float64),
+            ),
+        )
+        for stage in range(3)
+    ]
+    of = (device_field(obj.sdf, "cpu"), hands, (stages[0], stages[1], stages[2]))
+    return settled(*of, rows["size"].astype(np.float64), model)
 
 
 def _halves(
@@ -141,9 +182,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("run")
     parser.add_argument("--protocol", default="paper-1")
     parser.add_argument("--test", default="f")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     asked = parser.parse_args(arguments)
     of = (asked.run, asked.protocol, asked.test)
-    print(json.dumps({**measure(*of), "overlaps": measure_overlaps(*of)}, indent=2))
+    model = with_overrides(SettlingConfig(), asked.set) if asked.set else None
+    print(json.dumps({**measure(*of, model), "overlaps": measure_overlaps(*of)}, indent=2))
 
 
 if __name__ == "__main__":

@@ -154,8 +154,8 @@ def explain_attempt(
     if row is not None and trace is not None:
         mine = slice(row, row + 1)
         ends = {
-            "pregrasp": staged.pregrasp.rows(mine),
-            "squeeze": staged.squeeze.rows(mine),
+            "pregrasp": staged.made.pregrasp.rows(mine),
+            "squeeze": staged.made.squeeze.rows(mine),
         }
         poses = {**trace.poses, **ends}
     return Explanation(
@@ -208,9 +208,9 @@ def _moment(
 
 
 def _finished(staged: Staged, row: int, hands: Sequence[Hand], config: SelectionConfig) -> Finished:
-    contacts, deep = staged.contacts, staged.overlaps
+    contacts, deep = staged.made.contacts, staged.overlaps
     one = slice(row, row + 1)
-    poses = (staged.pregrasp, staged.grasp, staged.squeeze)
+    poses = (staged.made.pregrasp, staged.made.grasp, staged.made.squeeze)
     finite = np.logical_and.reduce([pose.rows(one).finite() for pose in poses])
     checks = failures(
         *(finite, contacts.gaps[one], deep.depth[one], config),
@@ -226,8 +226,8 @@ def _finished(staged: Staged, row: int, hands: Sequence[Hand], config: Selection
         points=per_hand(contacts.points),
         normals_in=per_hand(contacts.normals_in),
         forces=per_hand(contacts.forces),
-        force_scale=staged.force_scale[row],
-        residual_hand=staged.residual_hand[row],
+        force_scale=staged.made.force_scale[row],
+        residual_hand=staged.made.residual_hand[row],
         gaps=per_hand(contacts.gaps),
         among_hands=float(deep.among_hands[row]),
         table=float(deep.table[row]),

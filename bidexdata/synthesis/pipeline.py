@@ -70,22 +70,8 @@ class GraspContacts(NamedTuple):
     """Forces on the object of the coupled zero-load QP [caps], (K, 2, C, 3)."""
 
 
-class _Made(NamedTuple):
-    """Grasps as they were found, before they are looked at; fields as in `Staged`."""
-
-    pregrasp: Pose
-    grasp: Pose
-    squeeze: Pose
-    energies: Energies
-    contacts: GraspContacts
-    residual: np.ndarray
-    residual_hand: np.ndarray
-    shifted: np.ndarray
-    force_scale: np.ndarray
-
-
-class Staged(NamedTuple):
-    """Finished grasps of all scenes, in the order of the starts."""
+class Made(NamedTuple):
+    """Grasps of all scenes as they were found, in the order of the starts."""
 
     pregrasp: Pose
     grasp: Pose
@@ -101,6 +87,12 @@ class Staged(NamedTuple):
     """Residual of moved contacts [-], (K,)."""
     force_scale: np.ndarray
     """[N] per unit of force, (K, 2)."""
+
+
+class Staged(NamedTuple):
+    """The same grasps, looked at."""
+
+    made: Made
     settled: Settled
     """How the object lies when the hands have closed, each (K,)."""
     overlaps: Overlaps
@@ -215,7 +207,7 @@ def grasp_attempts(
         search = own.get(name, method.search)
         parts.append(_grasp_set(obj, hands, name, some, config, device, search))
         places.append(rows)
-    made: _Made = parts[0] if len(parts) == 1 else _scattered(parts, places)
+    made: Made = parts[0] if len(parts) == 1 else _scattered(parts, places)
     stages = (made.pregrasp, made.grasp, made.squeeze)
     finite = np.logical_and.reduce([pose.finite() for pose in stages])
     deep = Overlaps(*_depths(obj, hands, attempts, stages, finite))
@@ -227,7 +219,7 @@ def grasp_attempts(
     size = np.concatenate([one.start.size for one in attempts])
     field, model = device_field(obj.sdf, device), config.selection.settling
     rest = settled(field, hands, stages, size, model, device)
-    return Staged(**made._asdict(), settled=rest, overlaps=deep, status=status)
+    return Staged(made, rest, deep, status)
 
 
 def _grasp_set(
@@ -238,7 +230,7 @@ def _grasp_set(
     config: MethodConfig,
     device: str,
     search: Search,
-) -> _Made:
+) -> Made:
     """Finish attempts that all touch with the same contact set."""
     from bidexdata.simulation.compliance import weld_stiffness
 
@@ -271,7 +263,7 @@ def _grasp_set(
         ),
     )
     target = method.aim(found, press, views, config)
-    return _Made(
+    return Made(
         *(found.pregrasp, found.grasp, target, found.energies),
         _widened(hands, name, found, forces),
         *(forces.residual, forces.residual_hand, shifted, scale),
@@ -392,13 +384,13 @@ def outcome(
     depth, residual, shifted = np.full((3, len(status)), np.nan)
     rest = np.full((3, len(status)), np.nan)
     depth[placed] = staged.overlaps.depth[rows]
-    residual[placed] = staged.residual[rows]
-    shifted[placed] = staged.shifted[rows]
+    residual[placed] = staged.made.residual[rows]
+    shifted[placed] = staged.made.shifted[rows]
     rest[:, placed] = np.stack(staged.settled)[:, rows]
     found = Settled(*rest)
     doubt = doubts(shifted, found)
     places = np.full((len(status), 2, 3), np.nan)
-    places[placed] = staged.grasp.position[rows]
+    places[placed] = staged.made.grasp.position[rows]
     selected = best(status, depth, residual, doubt, places, grasps, config)
     drawn = audit(len(status), grasps, np.random.default_rng([one.seed, 2]))
     return Outcome(status, depth, residual, shifted, found, doubt, places, selected, drawn)

@@ -93,7 +93,7 @@ def _identify(
 def _pose(
     made: dict[str, np.ndarray], scene: Scene, staged: Staged, at: np.ndarray, rows: np.ndarray
 ) -> None:
-    for s, pose in enumerate((staged.pregrasp, staged.grasp, staged.squeeze)):
+    for s, pose in enumerate((staged.made.pregrasp, staged.made.grasp, staged.made.squeeze)):
         world = pose.rows(rows).moved(np.array(scene.object_pos), np.array(scene.object_quat_wxyz))
         made["hand_pos"][at, :, s] = world.position
         made["hand_quat_wxyz"][at, :, s] = quat_canonical(world.quat_wxyz)
@@ -102,7 +102,7 @@ def _pose(
 
 
 def _figures(made: dict[str, np.ndarray], staged: Staged, at: np.ndarray, rows: np.ndarray) -> None:
-    energies, contacts = staged.energies, staged.contacts
+    energies, contacts = staged.made.energies, staged.made.contacts
     for name, values in {
         "energy_qp": energies.closure,
         "energy_distance": energies.distance,
@@ -110,13 +110,13 @@ def _figures(made: dict[str, np.ndarray], staged: Staged, at: np.ndarray, rows: 
         "energy_penetration": energies.penetration,
         "energy_self": energies.self_penetration,
         "energy_pad": energies.pad,
-        "qp_residual": staged.residual,
-        "qp_residual_shifted": staged.shifted,
+        "qp_residual": staged.made.residual,
+        "qp_residual_shifted": staged.made.shifted,
         "settled_pressed": staged.settled.pressed,
         "settled_touching": staged.settled.touching,
         "settled_turned": staged.settled.turned,
-        "qp_residual_hand": staged.residual_hand,
-        "force_scale": staged.force_scale,
+        "qp_residual_hand": staged.made.residual_hand,
+        "force_scale": staged.made.force_scale,
         "contact_index": contacts.number,
         "contact_point": contacts.points,
         "contact_normal": -contacts.normals_in,

@@ -6,7 +6,8 @@
 with torques about the origin divided by a torque length. Solved by projected gradient with the
 exact projection, so every iterate is feasible and a warm start keeps its worth.
 
-Source: BiDexGrasp, appendix A, equation (QP-energy). The cones stay round instead of discretised.
+Source: BiDexGrasp, appendix A, equation (QP-energy), whose cones are discretised; here they are round
+unless `QPConfig.cone_sides` makes pyramids of them.
 """
 
 from __future__ import annotations
@@ -39,6 +40,9 @@ class QPConfig:
     mu: float = 0.3
     """Friction coefficient of the cones [-]. Half the simulated 0.6, as a margin; measurements, 3:
     0.1, 0.3 and 0.6 differ by 3 points of success. The paper gives none, BODex uses 0.1."""
+    cone_sides: int = 0
+    """Sides of the pyramids around the cones that stand for them [-]; 0 leaves the cones round. BODex
+    has 8; docs/measurements.md, 3: it changes nothing that shows."""
     gamma: float = 1.0
     """Least sum of normal forces of each hand [caps]. BODex's bound; the paper gives no value."""
     cap: float = 1.0
@@ -51,6 +55,10 @@ class QPConfig:
             value = getattr(self, name)
             if not low <= value < float("inf"):
                 raise BadConfig(f"QPConfig.{name} must be at least {low:g}, not {value!r}")
+        if self.cone_sides != 0 and not 3 <= self.cone_sides <= 1000:
+            raise BadConfig(
+                f"QPConfig.cone_sides must be 0 (round cones) or from 3 to 1000, not {self.cone_sides}"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +83,7 @@ class ContactQP:
     """Forces on the object in the frame of the points [caps], start and result, (N, L, T, M)
     vec3."""
     parts: wp.array
-    """Scratch: normal and tangential part of each force before its projection, (N, L, T, M) vec2."""
+    """Scratch: parts of each force before its projection, (N, L, T, M) vec3."""
     residual: wp.array
     """Squared wrench residual, (N, K, T)."""
     residual_force: wp.array
@@ -126,7 +134,7 @@ def allocate_contact_qp(
         contact_hand=ints(hand),
         targets=wp.array(targets, dtype=wp.vec3, device=device),
         forces=wp.zeros(places, dtype=wp.vec3, device=device),
-        parts=wp.zeros(places, dtype=wp.vec2, device=device),
+        parts=wp.zeros(places, dtype=wp.vec3, device=device),
         residual=wp.zeros(tasks, dtype=float, device=device),
         residual_force=wp.zeros(tasks, dtype=wp.vec3, device=device),
         residual_torque=wp.zeros(tasks, dtype=wp.vec3, device=device),
@@ -171,7 +179,8 @@ def solve_arguments(
 ) -> list[Any]:
     """All arguments of `contact_qp_kernel`, in order; as in `solve_contact_qp`."""
     groups = [qp.group_first_hand, qp.group_hands, qp.group_layer, qp.hand_start, qp.hand_stop]
-    constants = [config.mu, config.gamma, config.cap, config.beta, iterations]
+    cone = [config.mu, config.cone_sides]
+    constants = [*cone, config.gamma, config.cap, config.beta, iterations]
     results = [qp.forces, qp.parts, qp.residual, qp.residual_force, qp.residual_torque]
     return [points, normals_in, lengths, *groups, qp.targets, *constants, *results]
 

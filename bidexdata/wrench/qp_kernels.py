@@ -16,51 +16,94 @@ TINY = wp.constant(1.0e-12)
 
 
 @wp.func
-def project_to_cone(n: wp.vec3, tangent: wp.vec3, a: float, slide: float, mu: float, cap: float):
-    """Closest force to a n + tangent, |tangent| = slide, with 0 <= f.n <= cap and |f_t| <= mu f.n."""
-    pressed = a
-    if slide > mu * a:
-        pressed = (a + mu * slide) / (1.0 + mu * mu)
-    pressed = wp.clamp(pressed, 0.0, cap)
-    kept = wp.min(1.0, mu * pressed / wp.max(slide, TINY))
-    return pressed * n + kept * tangent
+def side_outward(n: wp.vec3, tangent: wp.vec3, sides: int) -> wp.vec3:
+    """Tangential unit normal of the pyramid's side that a tangential force leans on.
+
+    Sides lie at the multiples of 2 pi / sides from the first axis of `frames.rotation_with_z`.
+    """
+    least = wp.min(wp.abs(n))
+    axis = wp.vec3(0.0, 0.0, 1.0)
+    if wp.abs(n[0]) == least:
+        axis = wp.vec3(1.0, 0.0, 0.0)
+    elif wp.abs(n[1]) == least:
+        axis = wp.vec3(0.0, 1.0, 0.0)
+    d = wp.normalize(wp.cross(axis, n))
+    e = wp.cross(n, d)
+    width = 2.0 * wp.pi / float(sides)
+    angle = width * wp.round(wp.atan2(wp.dot(tangent, e), wp.dot(tangent, d)) / width)
+    return wp.cos(angle) * d + wp.sin(angle) * e
 
 
 @wp.func
-def pressure_and_slope(a: float, slide: float, mu: float, cap: float) -> wp.vec2:
-    """Normal part of the projection of (a, slide) onto the cone, and its derivative by a."""
-    if a + mu * slide <= 0.0:
-        return wp.vec2(0.0, 0.0)
-    pressed = a
+def split(y: wp.vec3, n: wp.vec3, sides: int) -> wp.vec3:
+    """Parts of a force: along n, across a side of the pyramid, and along that side (at least 0).
+
+    A round cone has its side wherever the force leans, so nothing is left along it.
+    """
+    along = wp.dot(y, n)
+    tangent = y - along * n
+    if sides == 0:
+        return wp.vec3(along, wp.length(tangent), 0.0)
+    outward = side_outward(n, tangent, sides)
+    across = wp.dot(tangent, outward)
+    return wp.vec3(along, across, wp.length(tangent - across * outward))
+
+
+@wp.func
+def pressure_and_slope(part: wp.vec3, shift: float, cone: wp.vec2, cap: float) -> wp.vec2:
+    """Normal part of the projection of (along + shift, across, beside), and its derivative by shift.
+
+    At height 1 a side is cone[0] from the axis and 2 cone[1] wide: mu and 0 for a round cone.
+    """
+    along = part[0] + shift
+    if along + cone[0] * part[1] + cone[1] * part[2] <= 0.0:
+        return wp.vec2(0.0, 0.0)  # nearest is the tip
+    pressed = along
     slope = float(1.0)
-    if slide > mu * a:
-        slope = 1.0 / (1.0 + mu * mu)
-        pressed = (a + mu * slide) * slope
+    if part[1] > cone[0] * along:
+        slope = 1.0 / (1.0 + cone[0] * cone[0])
+        pressed = (along + cone[0] * part[1]) * slope
+        if part[2] > cone[1] * pressed:  # beyond the side: nearest is an edge
+            slope = 1.0 / (1.0 + cone[0] * cone[0] + cone[1] * cone[1])
+            pressed = (along + cone[0] * part[1] + cone[1] * part[2]) * slope
     if pressed >= cap:
         return wp.vec2(cap, 0.0)
     return wp.vec2(pressed, slope)
 
 
 @wp.func
+def projected(
+    n: wp.vec3, tangent: wp.vec3, part: wp.vec3, shift: float, cone: wp.vec2, cap: float, sides: int
+) -> wp.vec3:
+    """Closest force to tangent + (part[0] + shift) n in the capped cone or pyramid."""
+    pressed = pressure_and_slope(part, shift, cone, cap)[0]
+    if sides == 0:
+        return pressed * n + wp.min(1.0, cone[0] * pressed / wp.max(part[1], TINY)) * tangent
+    outward = side_outward(n, tangent, sides)
+    beside = tangent - part[1] * outward
+    kept = wp.min(1.0, cone[1] * pressed / wp.max(part[2], TINY))
+    return pressed * n + wp.min(part[1], cone[0] * pressed) * outward + kept * beside
+
+
+@wp.func
 def hand_pressure(
-    parts: wp.array[wp.vec2], start: int, stop: int, shift: float, mu: float, cap: float
+    parts: wp.array[wp.vec3], start: int, stop: int, shift: float, cone: wp.vec2, cap: float
 ) -> wp.vec2:
     """Sum over a hand of the normal parts of the projections of y + shift n, and its derivative."""
     total = wp.vec2(0.0, 0.0)
     for c in range(start, stop):
-        part = parts[c]
-        total += pressure_and_slope(part[0] + shift, part[1], mu, cap)
+        total += pressure_and_slope(parts[c], shift, cone, cap)
     return total
 
 
 @wp.func
 def pressure_shift(
-    parts: wp.array[wp.vec2],
+    parts: wp.array[wp.vec3],
     start: int,
     stop: int,
     guess: float,
     pressure_at_guess: wp.vec2,
-    mu: float,
+    cone: wp.vec2,
     cap: float,
     gamma: float,
 ) -> float:
@@ -92,7 +135,7 @@ def pressure_shift(
             shift = 0.0
         if high >= 0.0 and (shift <= low or shift >= high):
             shift = 0.5 * (wp.max(low, 0.0) + high)
-        pressure = hand_pressure(parts, start, stop, shift, mu, cap)
+        pressure = hand_pressure(parts, start, stop, shift, cone, cap)
     return shift
 
 
@@ -110,14 +153,15 @@ def contact_qp_kernel(
     hand_stop: wp.array[int],
     targets: wp.array3d[wp.vec3],
     mu: float,
+    sides: int,
     gamma: float,
     cap: float,
     beta: float,
     iterations: int,
     # In and out: start and result
     forces: wp.array4d[wp.vec3],
-    # Scratch: normal part and size of the tangential part of each y
-    parts_out: wp.array4d[wp.vec2],
+    # Scratch: parts of each y, as `split` gives them
+    parts_out: wp.array4d[wp.vec3],
     # Out:
     residual_out: wp.array3d[float],
     residual_force_out: wp.array3d[wp.vec3],
@@ -136,6 +180,9 @@ def contact_qp_kernel(
     normals = normals_in[p]
     force = forces[p, layer, t]
     parts = parts_out[p, layer, t]
+    cone = wp.vec2(mu, 0.0)
+    if sides > 0:
+        cone[1] = mu * wp.tan(wp.pi / float(sides))
 
     # Residual of the start, and the step: 1.6 over a bound of the largest eigenvalue of G G^T.
     r_f = -target_f
@@ -164,18 +211,15 @@ def contact_qp_kernel(
             for c in range(start, stop):
                 n = normals[c]
                 y = force[c] - step * (r_f + wp.cross(r_t, points[c] * inv_length))
-                along = wp.dot(y, n)
-                tangent = y - along * n
-                slide = wp.length(tangent)
-                force[c] = tangent
-                parts[c] = wp.vec2(along, slide)
-                pressure += pressure_and_slope(along + shift, slide, mu, cap)
+                part = split(y, n, sides)
+                force[c] = y - part[0] * n
+                parts[c] = part
+                pressure += pressure_and_slope(part, shift, cone, cap)
             if shift > 0.0 or pressure[0] < gamma:
-                shift = pressure_shift(parts, start, stop, shift, pressure, mu, cap, gamma)
+                shift = pressure_shift(parts, start, stop, shift, pressure, cone, cap, gamma)
                 shifts[h - h0] = shift
             for c in range(start, stop):
-                part = parts[c]
-                f = project_to_cone(normals[c], force[c], part[0] + shift, part[1], mu, cap)
+                f = projected(normals[c], force[c], parts[c], shift, cone, cap, sides)
                 force[c] = f
                 next_f += f
                 next_t += wp.cross(points[c] * inv_length, f)

@@ -18,8 +18,12 @@ from bidexdata.wrench.qp import QPConfig
 _SETTLED = 1e-11
 
 # Residuals that OSQP aims at, and those that still count as a solution [caps].
-_OSQP_AIM = 1e-5
-_OSQP_ENOUGH = 1e-4
+_OSQP_AIM = 1e-4
+_OSQP_ENOUGH = 1e-3
+
+# Weight of the squared forces beside the squared residual [-]: many forces give one wrench, and
+# without a preference OSQP may not come to an end.
+_OSQP_LEAST = 1e-5
 
 
 class ReferenceSolution(NamedTuple):
@@ -125,13 +129,12 @@ def osqp_contact_qp(
     length: float,
     config: QPConfig,
     *,
-    sides: int = 8,
     rounds: int = 12,
 ) -> ReferenceSolution:
-    """Solve one contact QP with OSQP and cutting planes.
+    """Solve one contact QP with OSQP, round cones by cutting planes.
 
     The cones start as pyramids around them; every round adds a side where a force leaves its cone,
-    so the optimum rises towards that of the round cones.
+    so the optimum rises towards that of the round cones. Pyramids of `config.cone_sides` stay.
 
     Args:
         points: As in `reference_qp`, likewise the next five.
@@ -140,8 +143,8 @@ def osqp_contact_qp(
         target: Unit target wrench.
         length: Torque length [m].
         config: Friction, bounds and disturbance.
-        sides: Sides of the first pyramids (BODex solves with 8 and stops there).
-        rounds: Solutions at most; 1 gives the pyramids' optimum, a lower bound.
+        rounds: Solutions at most for round cones; 1 gives the optimum of pyramids with 8 sides, a
+            lower bound.
 
     Raises:
         MissingExtra: OSQP is not installed.
@@ -151,13 +154,14 @@ def osqp_contact_qp(
     frames, count = contact_frames(n), len(n)
     G = np.concatenate(list(grasp_matrix(np.asarray(points) / length, frames)), axis=1)
     goal = config.beta * np.asarray(target, np.float64).reshape(6)
+    sides = config.cone_sides or 8
     angles = [list(2.0 * np.pi * np.arange(sides) / sides) for _ in range(count)]
     local = np.zeros((count, 3))
     for _ in range(rounds):
         local = _solve_pyramids(G, goal, hand, angles, config).reshape(count, 3)
         slide = np.linalg.norm(local[:, 1:], axis=1)
         outside = slide > config.mu * local[:, 0] + 1e-6 * config.cap
-        if not outside.any():
+        if config.cone_sides or not outside.any():
             break
         for c in np.flatnonzero(outside):
             angles[c].append(float(np.arctan2(local[c, 2], local[c, 1])))
@@ -210,7 +214,7 @@ def _solve_pyramids(
     ]
     solver = osqp.OSQP()
     solver.setup(
-        P=sparse.diags([0.0] * (3 * count) + [2.0] * 6, format="csc"),
+        P=sparse.diags([2.0 * _OSQP_LEAST] * (3 * count) + [2.0] * 6, format="csc"),
         q=np.zeros(3 * count + 6),
         A=sparse.hstack([rows, sparse.csc_matrix(own)], format="csc"),
         l=np.concatenate(lower),
@@ -222,7 +226,7 @@ def _solve_pyramids(
         verbose=False,
     )
     result = solver.solve(raise_error=False)
-    # The problems are degenerate (many forces give one wrench), so OSQP may stop short of its aim.
+    # The problems are degenerate, so OSQP may stop short of its aim.
     error = max(result.info.prim_res, result.info.dual_res)
     solved = result.info.status.startswith("solved") or error < _OSQP_ENOUGH
     if result.x is None or not solved:

@@ -8,7 +8,7 @@ import warp as wp
 
 from bidexdata.errors import BadConfig
 from bidexdata.frames import matrix_from_quat, quat_from_rotation_vector
-from bidexdata.wrench.contact_model import cone_violation, wrench_of
+from bidexdata.wrench.contact_model import cone_violation, contact_frames, wrench_of
 from bidexdata.wrench.qp import (
     QPConfig,
     allocate_contact_qp,
@@ -128,10 +128,86 @@ def test_osqp_agrees(coupling, beta):
                     axis_targets()[t], LENGTH, config,
                 )  # fmt: skip
                 pyramids = osqp_contact_qp(*args, rounds=1).residual
+                eight = QPConfig(beta=beta, mu=0.2, cone_sides=8)
+                assert osqp_contact_qp(*args[:-1], eight).residual == pyramids
                 cones = osqp_contact_qp(*args).residual
                 # OSQP stops at residuals of 1e-5 to 1e-4.
                 assert q.residual[i, k, t] == pytest.approx(cones, rel=5e-4)
                 assert pyramids <= cones * (1 + 5e-4)
+
+
+def contact_sets(kind, count, rng):
+    """Sets of five contacts, (N, 5, 3) each."""
+    points = LENGTH * rng.standard_normal((count, 5, 3))
+    normals = unit(rng.standard_normal((count, 5, 3)))
+    if kind == "grasp":  # all press towards the middle, more or less
+        normals = unit(-points + 0.5 * LENGTH * rng.standard_normal(points.shape))
+    elif kind == "coplanar":  # points and normals in one plane
+        points[..., 2] = normals[..., 2] = 0
+        normals = unit(normals)
+    elif kind == "parallel":
+        normals = np.repeat(normals[:, :1], 5, axis=1)
+    elif kind == "one point":
+        points = np.repeat(points[:, :1], 5, axis=1)
+    elif kind == "twice":  # three contacts, two of them there twice
+        points, normals = points[:, [0, 0, 1, 1, 2]], normals[:, [0, 0, 1, 1, 2]]
+    return points.astype(np.float32), normals.astype(np.float32)
+
+
+KINDS = ("grasp", "random", "coplanar", "parallel", "one point", "twice")
+
+
+def require_that_osqp_agrees(kind, sides, count):
+    points, normals = contact_sets(kind, count, np.random.default_rng([len(kind), sides]))
+    axes, unsolved = np.concatenate([axis_targets(), zero_target()]), 0
+    for beta in (CONFIG.beta, 0.8):
+        config = QPConfig(beta=beta, cone_sides=sides)
+        found = solve(points, normals, config, hands=1, targets=axes, iterations=10_000).residual
+        for i in range(count):
+            t = i % len(axes)
+            args = (points[i], normals[i], np.zeros(5, int), axes[t], LENGTH, config)
+            try:
+                expected = osqp_contact_qp(*args).residual
+            except ArithmeticError:
+                unsolved += 1
+                continue
+            # Neither is at the optimum: OSQP stops at wrenches of 1e-4 to 1e-3 caps, we after so many steps.
+            assert found[i, 0, t] == pytest.approx(expected, rel=1e-3, abs=6e-4)
+    assert unsolved <= 0.01 * 2 * count
+
+
+@pytest.mark.parametrize("sides", [0, 8])
+@pytest.mark.parametrize("kind", KINDS)
+def test_osqp_agrees_on_random_and_degenerate_sets(kind, sides):
+    require_that_osqp_agrees(kind, sides, 12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sides", [0, 8])
+@pytest.mark.parametrize("kind", KINDS)
+def test_osqp_agrees_on_thousands_of_sets(kind, sides):
+    require_that_osqp_agrees(kind, sides, 200)
+
+
+def test_pyramids_with_many_sides_are_cones():
+    points, normals = grasps(20, seed=31)
+    round_ = solve(points, normals, QPConfig(beta=0.8), iterations=400)
+    many = solve(points, normals, QPConfig(beta=0.8, cone_sides=500), iterations=400)
+    eight = solve(points, normals, QPConfig(beta=0.8, cone_sides=8), iterations=400)
+    assert np.allclose(many.residual, round_.residual, atol=2e-4)
+    assert eight.residual.sum() < round_.residual.sum() - 1e-3  # they are larger than the cones
+
+
+def test_forces_stay_within_the_pyramids():
+    points, normals = grasps(20, seed=33)
+    config = QPConfig(beta=6.0, cone_sides=8)
+    f = solve(points, normals, config, coupling="coupled", iterations=50).forces.astype(np.float64)
+    frame = contact_frames(normals)[:, None, None]
+    local = np.einsum("nltcij,nltci->nltcj", np.broadcast_to(frame, (*f.shape, 3)), f)
+    angles = 2 * np.pi * np.arange(8) / 8
+    reach = local[..., 1:] @ np.stack([np.cos(angles), np.sin(angles)])
+    assert (reach.max(-1) - config.mu * local[..., 0]).max() < FLOAT32
+    assert (np.linalg.norm(local[..., 1:], axis=-1) - config.mu * local[..., 0]).max() > 1e-3
 
 
 @pytest.mark.parametrize("coupling", ["decoupled", "coupled"])
@@ -316,7 +392,9 @@ def test_more_pressure_than_the_caps_allow_ends_at_the_caps():
     assert np.allclose(pressed, 1.0, atol=1e-5)
 
 
-@pytest.mark.parametrize("change", [{"mu": -0.1}, {"cap": 0.0}, {"gamma": float("nan")}])
+@pytest.mark.parametrize(
+    "change", [{"mu": -0.1}, {"cap": 0.0}, {"gamma": float("nan")}, {"cone_sides": 2}]
+)
 def test_impossible_constants_are_refused_by_name(change):
     with pytest.raises(BadConfig, match=f"QPConfig.{next(iter(change))}"):
         QPConfig(**change)
