@@ -163,11 +163,19 @@ def collision_terms(
         ws: The grasps.
         energy: Weights and margins.
         reach: How far each sphere of each hand reaches towards the object before its margin [m],
-            (K,) each; their radii when omitted.
+            (K,) each; their radii when omitted, with contact spheres at their own margin.
     """
-    reach = reach or [hand.model.sphere_radius for hand in ws.hands]
+    reach = reach or [_reach(ws, hand, energy) for hand in ws.hands]
     calls = [call for h in range(len(ws.hands)) for call in _collisions_of(ws, h, energy, reach[h])]
     return [*calls, _between_hands(ws, energy)]
+
+
+def _reach(ws: Workspace, hand: HandWork, energy: EnergyConfig) -> Any:
+    """Radii, such that the margin of all spheres is that of contact spheres for these."""
+    own = hand.model.hand
+    reach = own.sphere_radius.copy()
+    reach[: own.fingertips] += energy.contact_margin - energy.object_margin
+    return wp.array(reach.astype(np.float32), dtype=float, device=ws.device)
 
 
 def backward(ws: Workspace) -> list[Call]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -118,10 +119,11 @@ def shifted_residual(
     groups = qp_groups(ws.contacts_per_hand, "coupled")
     carried = np.zeros((ws.count, sets, 1, 2, 3))
     along = axis_targets()[np.arange(sets) % len(axis_targets()), 0]
-    carried[:, :, 0, 0] = closure.qp.gamma / closure.qp.beta * load[:, None, None] * along
+    carried[:, :, 0, 0] = closure.qp.gamma * load[:, None, None] * along
     targets = carried.reshape(rows[0], 1, 2, 3)
     qp = allocate_contact_qp(rows[0], groups, targets, device=device)
-    solve_contact_qp(points, normals, length, qp, closure.qp, iterations=iterations)
+    unscaled = replace(closure.qp, beta=1.0)  # the targets are the loads themselves
+    solve_contact_qp(points, normals, length, qp, unscaled, iterations=iterations)
     return qp.residual.numpy().reshape(ws.count, sets).astype(np.float64).mean(axis=1)
 
 

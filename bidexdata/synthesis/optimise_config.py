@@ -98,6 +98,9 @@ class EnergyConfig:
     object_margin: float = 0.002
     """Spheres keep this far from the object [m]: about as far as a hand stands out of its spheres.
     Measurements, 15."""
+    contact_margin: float = 0.002
+    """The same of the spheres that fingertips touch with [m]; negative: they may lie as deep in it.
+    Ours, the same as for the others; BODex lets them 2 mm in."""
     table_margin: float = 0.002
     """Spheres keep this far from the table [m]. Ours, the same as for the object."""
     self_margin: float = 0.002
@@ -114,6 +117,7 @@ class EnergyConfig:
         refuse_outside(self, "region_threshold", 1e-4, 10.0)
         refuse_outside(self, "pad_cosine", -1.0, 1.0)
         refuse_outside(self, "normal_step", 1e-4, 0.1)
+        refuse_outside(self, "contact_margin", -0.1, 0.1)
         for name in ("object_margin", "table_margin", "self_margin", "inter_margin"):
             refuse_outside(self, name, 0.0, 0.1)
 

@@ -68,6 +68,9 @@ _PAPER = (
     Change("placement.table_fingers", "preferred", "appendix B: the direction is given per hand"),
     Change("optimise.closure.groups", "decoupled", "4.3: Q of each hand alone"),
     Change("optimise.closure.disturbances", "forces", "3: six forces along +-x, +-y, +-z"),
+    Change(
+        "optimise.closure.qp.cone_sides", 8, "appendix A: cones are discretised; 8 sides as BODex"
+    ),
     Change("optimise.closure.shift", 0.0, "4.3: forces act where the fingers touch"),
     Change("optimise.closure.weight_decoupled", 1000.0, "6.2: w_QP"),
     Change("optimise.energy.distance", 100.0, "6.2: w_dis"),
@@ -79,6 +82,11 @@ _PAPER = (
     ),
     Change(
         "optimise.energy.region_threshold", 0.01, "open in the paper; ours, an eighth of the radius"
+    ),
+    Change(
+        "optimise.energy.contact_margin",
+        -0.002,
+        "4.3: contact points reach the surface; 2 mm as BODex",
     ),
     Change("optimise.energy.pad", 0.0, "the paper has no such term"),
     Change("staging.extrapolate", 1.0, "4.4: 2 G - G_pre, base included; BODex moves joints alone"),

@@ -149,7 +149,7 @@ class BodexScheduleConfig:
 
 
 def _qp() -> QPConfig:
-    return QPConfig(mu=0.1, gamma=1.0, cap=1.0, beta=0.21)
+    return QPConfig(mu=0.1, cone_sides=8, gamma=1.0, cap=1.0, beta=0.21)
 
 
 def _staging() -> StagingConfig:
@@ -163,7 +163,7 @@ class BodexConfig:
     starts: BodexStartConfig = field(default_factory=BodexStartConfig)
     energy: BodexEnergyConfig = field(default_factory=BodexEnergyConfig)
     qp: QPConfig = field(default_factory=_qp)
-    """The QP of all contacts together. BODex: friction 0.1, sum of a hand's normal forces at least
+    """The QP of all contacts together. BODex: friction 0.1, pyramids with 8 sides, sum of a hand's normal forces at least
     1, and 0.21 of the target, to which its reversed bounds of 0.19 and 0.21 come."""
     torque_length: float = 0.5
     """Length that makes torques comparable with forces, as a share of the box diagonal [-].
