@@ -190,3 +190,10 @@ def _without_start(
             plane=np.zeros((0, 4)),
         ),
     )
+
+
+def rows_per_scene(attempts: Sequence[Attempts]) -> list[np.ndarray]:
+    """Which of the joined starts belong to each scene."""
+    ends = np.cumsum([len(a.start.size) for a in attempts])
+    starts = np.append(0, ends[:-1])
+    return [np.arange(a, b) for a, b in zip(starts, ends, strict=True)]

@@ -20,8 +20,9 @@ from bidexdata.record import GraspBatch, Scene, Status
 from bidexdata.synthesis.attempts import Attempts, draw_attempts
 from bidexdata.synthesis.distance_field import signed_distance
 from bidexdata.synthesis.methods import search_bilevel
-from bidexdata.synthesis.pipeline import Outcome, Staged, grasp_attempts, outcome
+from bidexdata.synthesis.pipeline import grasp_attempts, outcome
 from bidexdata.synthesis.pose import Pose
+from bidexdata.synthesis.results import Outcome, Staged
 from bidexdata.synthesis.rows import scene_rows
 from bidexdata.synthesis.selection import failures, selection_order
 from bidexdata.synthesis.trace import Recorder, Trace

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
-from bidexdata.frames import quat_multiply, quat_rotate
 from bidexdata.hands.contact_sets import ContactSet, contact_view, set_numbers
 from bidexdata.record import GraspBatch, Scene, Status
-from bidexdata.synthesis.attempts import Attempts
+from bidexdata.synthesis.attempts import Attempts, rows_per_scene
 from bidexdata.synthesis.config import SynthConfig
 from bidexdata.synthesis.distance_field import device_field
 from bidexdata.synthesis.forces import (
@@ -31,8 +30,8 @@ from bidexdata.synthesis.forces import (
 from bidexdata.synthesis.methods import MethodConfig, Search, method_of
 from bidexdata.synthesis.opening import opened
 from bidexdata.synthesis.optimise import Optimised
-from bidexdata.synthesis.pose import Pose
-from bidexdata.synthesis.readout import Energies
+from bidexdata.synthesis.overlaps import deepest_overlaps
+from bidexdata.synthesis.results import GraspContacts, Made, Outcome, Staged
 from bidexdata.synthesis.rows import scene_rows
 from bidexdata.synthesis.selection import SelectionConfig, audit, best, doubts, judge
 from bidexdata.synthesis.settling import Settled, settled
@@ -41,87 +40,6 @@ from bidexdata.synthesis.staging import Press
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
     from bidexdata.objects.prepared import PreparedObject
-    from bidexdata.simulation.scene import SimScene
-
-
-class Overlaps(NamedTuple):
-    """Deepest overlaps on the hands' own geometry [m], zero or more; NaN where not finite."""
-
-    depth: np.ndarray
-    """Hands and object at the pre-grasp, (K,)."""
-    among_hands: np.ndarray
-    """Within a hand or between hands at the pre-grasp, (K,)."""
-    table: np.ndarray
-    """Hands and table at the stage where they are deepest in it; 0 without one, (K,)."""
-
-
-class GraspContacts(NamedTuple):
-    """Contacts at the grasps, object frame; behind those of an attempt's set NaN, indices -1."""
-
-    number: np.ndarray
-    """Which of the hand's contact points each is, (K, 2, C)."""
-    points: np.ndarray
-    """Surface points under the pads [m], (K, 2, C, 3)."""
-    normals_in: np.ndarray
-    """Inward unit normals there, (K, 2, C, 3)."""
-    gaps: np.ndarray
-    """Signed distances of the pads from the surface [m], (K, 2, C)."""
-    forces: np.ndarray
-    """Forces on the object of the coupled zero-load QP [caps], (K, 2, C, 3)."""
-
-
-class Made(NamedTuple):
-    """Grasps of all scenes as they were found, in the order of the starts."""
-
-    pregrasp: Pose
-    grasp: Pose
-    squeeze: Pose
-    energies: Energies
-    """At the grasp."""
-    contacts: GraspContacts
-    residual: np.ndarray
-    """Coupled zero-load QP residual [-], (K,)."""
-    residual_hand: np.ndarray
-    """The same of each hand alone [-], (K, 2)."""
-    shifted: np.ndarray
-    """Residual of moved contacts [-], (K,)."""
-    force_scale: np.ndarray
-    """[N] per unit of force, (K, 2)."""
-
-
-class Staged(NamedTuple):
-    """The same grasps, looked at."""
-
-    made: Made
-    settled: Settled
-    """How the object lies when the hands have closed, each (K,)."""
-    overlaps: Overlaps
-    """Each (K,)."""
-    status: np.ndarray
-    """(K,)."""
-
-
-class Outcome(NamedTuple):
-    """What became of all M attempts of a scene; NaN where there is no start or no finite pose."""
-
-    status: np.ndarray
-    """(M,)."""
-    depth: np.ndarray
-    """Pre-grasp penetration [m], (M,)."""
-    residual: np.ndarray
-    """Coupled zero-load QP residual [-], (M,)."""
-    shifted: np.ndarray
-    """Residual of moved contacts [-], (M,)."""
-    settled: Settled
-    """How the object lies when the hands have closed, each (M,)."""
-    doubt: np.ndarray
-    """What the order is by, least first, (M,)."""
-    places: np.ndarray
-    """Origins of the hand frames at the grasp, object frame [m], (M, 2, 3)."""
-    selected: np.ndarray
-    """One of the best, (M,)."""
-    audit: np.ndarray
-    """One of those drawn beforehand, (M,)."""
 
 
 def synthesize(
@@ -164,7 +82,7 @@ def synthesize(
     attempts = [draw(obj, hands, s, config, seed, count, grown=grown) for s in scenes]
     staged = grasp_attempts(obj, hands, attempts, config, device)
     made = []
-    for one, rows in zip(attempts, _rows_per_scene(attempts), strict=True):
+    for one, rows in zip(attempts, rows_per_scene(attempts), strict=True):
         found = outcome(one, staged, rows, grasps, config.selection)
         made.append(
             scene_rows(
@@ -210,7 +128,7 @@ def grasp_attempts(
     made: Made = parts[0] if len(parts) == 1 else _scattered(parts, places)
     stages = (made.pregrasp, made.grasp, made.squeeze)
     finite = np.logical_and.reduce([pose.finite() for pose in stages])
-    deep = Overlaps(*_depths(obj, hands, attempts, stages, finite))
+    deep = deepest_overlaps(obj, hands, attempts, stages, finite)
     status = judge(
         *(finite, made.contacts.gaps, deep.depth, config.selection),
         among_hands=deep.among_hands,
@@ -300,70 +218,6 @@ def _scattered(parts: Sequence[Any], places: Sequence[np.ndarray]) -> Any:
     for part, rows in zip(parts, places, strict=True):
         whole[rows] = part
     return whole
-
-
-def _depths(
-    obj: PreparedObject,
-    hands: tuple[Hand, Hand],
-    attempts: Sequence[Attempts],
-    stages: tuple[Pose, Pose, Pose],
-    finite: np.ndarray,
-) -> np.ndarray:
-    """Deepest overlaps of each attempt on the hands' own geometry [m].
-
-    Returns:
-        At the pre-grasp hands with the object and among the hands; hands with the table at the
-        stage where they are deepest in it, (3, K).
-    """
-    from bidexdata.simulation.resize import SizedScenes
-
-    depths = np.full((3, len(finite)), np.nan)
-    scenes: dict[bool, SizedScenes] = {}
-    for one, every in zip(attempts, _rows_per_scene(attempts), strict=True):
-        rows = every[finite[every]]
-        if len(rows) == 0:
-            continue
-        on_table = one.scene.setting == "tabletop"
-        if on_table not in scenes:
-            scenes[on_table] = SizedScenes(hands, obj, table=on_table)
-        built = scenes[on_table].at(one.scene.size)
-        depths[:, rows] = _overlaps(built, obj, one.scene, stages[0].rows(rows))
-        for pose in stages[1:] if on_table else ():
-            table = _overlaps(built, obj, one.scene, pose.rows(rows))[2]
-            depths[2, rows] = np.maximum(depths[2, rows], table)
-    return depths
-
-
-def _overlaps(built: SimScene, obj: PreparedObject, scene: Scene, pose: Pose) -> np.ndarray:
-    """Overlaps of one stage: hands with the object, among the hands, with the table [m], (3, n)."""
-    from bidexdata.simulation.distances import pregrasp_penetration
-
-    hands = built.hands
-    padded = np.full((len(pose.position), 2, max(len(h.joint_names) for h in hands)), np.nan)
-    for h, joints in enumerate(pose.joints):
-        padded[:, h, : joints.shape[1]] = joints
-    # In the world, where the table is z = 0; a floating object is at the identity there.
-    origin, turn = np.array(scene.object_pos), np.array(scene.object_quat_wxyz)
-    return np.stack(
-        pregrasp_penetration(
-            hands,
-            obj,
-            scene.size,
-            origin,
-            turn,
-            quat_rotate(turn, pose.position) + origin,
-            quat_multiply(turn, pose.quat_wxyz),
-            padded,
-            scene=built,
-        )
-    )
-
-
-def _rows_per_scene(attempts: Sequence[Attempts]) -> list[np.ndarray]:
-    """Which of the joined starts belong to each scene."""
-    ends = np.cumsum([len(a.start.size) for a in attempts])
-    starts = np.append(0, ends[:-1])
-    return [np.arange(a, b) for a, b in zip(starts, ends, strict=True)]
 
 
 def outcome(

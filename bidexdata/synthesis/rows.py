@@ -17,7 +17,7 @@ from bidexdata.synthesis.attempts import Attempts, grasp_ids
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
     from bidexdata.synthesis.methods import MethodConfig
-    from bidexdata.synthesis.pipeline import Outcome, Staged
+    from bidexdata.synthesis.results import Outcome, Staged
 
 
 def scene_rows(
