@@ -27,6 +27,7 @@ from bidexdata.runs.plan import Task
 from bidexdata.runs.stage import StageReport, TaskExecution, TaskSummary
 from bidexdata.runs.synth import SynthRequest, synth_library
 from bidexdata.synthesis.config import SynthConfig
+from bidexdata.wording import counted
 
 SIZES_MM = (300, 400, 500, 600, 700, 800)
 ATTEMPTS, GRASPS = 20, 5
@@ -129,8 +130,8 @@ def _timed(library: Path, out: Path, request: SynthRequest) -> tuple[Speed, Stag
     speed = speed_of(done)
     if speed is None:
         raise SystemExit(
-            f"{library}: {made.tasks} tasks are too few: each of {WORKERS} workers must do a second "
-            "one, since speed counts from the end of its first; give a library of more objects"
+            f"{library}: {counted(made.tasks, 'task')} for {WORKERS} workers: speed counts from the end "
+            "of each worker's first task, so each must do a second; give a library of more objects"
         )
     return speed, made
 
