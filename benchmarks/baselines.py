@@ -5,8 +5,8 @@ each method's own step counts; then test f of protocol paper-1. Methods take tur
 so that a load on the machine hits all alike, and a second call goes on where the first stopped. The
 tables go into docs/baselines.md; the figures are also in DIR/baselines.json.
 
-Speed is that of one process on one core without start-up and compilation: attempts (raw grasps, as
-in the paper) and successes, by the clock and by the time that the core really worked for it.
+Speed is attempts (raw grasps, as in the paper) and successes by the time that a core worked for them;
+what a call's first task took, which loads or compiles kernels, is left out where there are others.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,11 +21,9 @@ from typing import Any, NamedTuple
 from benchmarks.machine import describe_machine
 from bidexdata import Library, Run
 from bidexdata.cli.options import parse_sizes
-from bidexdata.config import with_overrides
 from bidexdata.errors import BidexError
 from bidexdata.formats.figures import Tally
-from bidexdata.hands import load_hands
-from bidexdata.record import Scene
+from bidexdata.runs.bench_speed import noted_in, speed_of
 from bidexdata.runs.finished import Finished
 from bidexdata.runs.pack import rows_of_object
 from bidexdata.runs.stage import TaskExecution
@@ -34,17 +31,9 @@ from bidexdata.runs.synth import SynthRequest, start_run, synth_library
 from bidexdata.runs.validate import validate_run
 from bidexdata.synthesis.method_names import METHODS
 from bidexdata.synthesis.methods import load_method
-from bidexdata.synthesis.pipeline import synthesize
 from bidexdata.validation import load_protocol
 
 PROTOCOL = "paper-1"
-TIMES = "times.jsonl"
-FEWEST_STEPS = {
-    "bidexgrasp": tuple(f"optimise.{phase}.steps=1" for phase in ("approach", "pregrasp", "grasp")),
-    "bodex": ("schedule.steps=5",),
-    "bimangrasp": ("annealing.steps=1",),
-}
-"""Shortest searches, which compile a method's kernels before anything is timed."""
 
 
 class Asked(NamedTuple):
@@ -65,10 +54,9 @@ def measure(asked: Asked) -> dict[str, Any]:
     library = Library.open(asked.library)
     numbers = range(0, len(library.object_ids), asked.every)[: asked.limit]
     runs = {name: _run(library, asked, name) for name in asked.methods}
-    warm: set[str] = set()
     for done, number in enumerate(numbers, start=1):
         for name, run in runs.items():
-            _synthesise(library, asked, name, run, number, warm)
+            _synthesise(asked, name, run, number)
             _validate(run, number)
         print(f"{done} of {len(numbers)} objects", file=sys.stderr, flush=True)
     ids = [library.object_ids[k] for k in numbers]
@@ -94,13 +82,11 @@ def figures(run: Run, ids: Sequence[str]) -> dict[str, Any]:
         verdicts = {test: columns for (_, test), columns in rows.verdicts.items()}
         tally.add(rows.batch, verdicts, grasps=run.spec.grasps)
     found = tally.figures()
-    rates, times = found["tests"]["f"], [t for t in _times(run) if t["object_id"] in ids]
-    attempts = sum(t["attempts"] for t in times)
-    wall, cpu = (sum(t[key] for t in times) for key in ("seconds", "cpu_seconds"))
-    success = rates["unselected"]["rate"]
+    rates, speed = found["tests"]["f"], speed_of(run, ids)
+    made, success = speed.per_second, rates["unselected"]["rate"]
     return {
         "fingerprint": run.fingerprint,
-        "attempts": attempts,
+        "attempts": sum(found["by_status"].values()),
         "unselected": rates["unselected"],
         "selected": rates["selected"],
         "kept": found["kept"],
@@ -109,9 +95,9 @@ def figures(run: Run, ids: Sequence[str]) -> dict[str, Any]:
         "cdc": found["cdc"],
         "by_size": {mm: one["unselected_f"]["rate"] for mm, one in found["by_size"].items()},
         "by_verdict": found["by_verdict"],
-        "per_second": attempts / wall,
-        "per_cpu_second": attempts / cpu,
-        "successes_per_cpu_second": success * attempts / cpu,
+        "timed_attempts": speed.attempts,
+        "per_cpu_second": made,
+        "successes_per_cpu_second": None if made is None else success * made,
     }
 
 
@@ -119,24 +105,24 @@ def tables(data: dict[str, Any]) -> list[str]:
     """The comparison as Markdown."""
     head = (
         "| method | SUC-F, unselected [%] | SUC-F, selected [%] | kept [%] | PD [mm] | "
-        "grasps/s | grasps/CPU s | successes/CPU s | ours over it |"
+        "grasps/CPU s | successes/CPU s | ours over it |"
     )
-    lines = [head, "|" + "---|" * 9]
+    lines = [head, "|" + "---|" * 8]
     every = data["methods"]
-    ours = every.get(METHODS[0])
+    ours = every.get(METHODS[0], {})
     for name, one in every.items():
-        speed = one["successes_per_cpu_second"]
-        ratio = f"{ours['successes_per_cpu_second'] / speed:.2f}" if ours and speed else "-"
-        raw = f"{ours['per_cpu_second'] / one['per_cpu_second']:.2f}" if ours else "-"
+        raw, ratio = (
+            _cell(ours[key] / one[key] if ours.get(key) and one[key] else None)
+            for key in ("per_cpu_second", "successes_per_cpu_second")
+        )
         cells = [
             name,
             _percent(one["unselected"]),
             _percent(one["selected"]),
             f"{100 * one['kept']:.0f}",
             f"{1e3 * one['pd']:.2f}",
-            f"{one['per_second']:.2f}",
-            f"{one['per_cpu_second']:.2f}",
-            f"{speed:.2f}",
+            _cell(one["per_cpu_second"]),
+            _cell(one["successes_per_cpu_second"]),
             f"{raw} grasps, {ratio} successes",
         ]
         lines.append("| " + " | ".join(cells) + " |")
@@ -147,6 +133,11 @@ def tables(data: dict[str, Any]) -> list[str]:
         rates = [f"{100 * one['by_size'][str(mm)]:.1f}" for mm in data["sizes_mm"]]
         lines.append(f"| {name} | {' | '.join(rates)} |")
     return lines
+
+
+def _cell(value: float | None) -> str:
+    """A number, or a dash where nothing was timed or nothing passed."""
+    return "-" if value is None else f"{value:.2f}"
 
 
 def _percent(rate: dict[str, Any]) -> str:
@@ -175,46 +166,20 @@ def _one(run: Run, number: int) -> TaskExecution:
     return TaskExecution(executor="inline", shard=(number, len(run.tasks)), quiet=True)
 
 
-def _synthesise(
-    library: Library, asked: Asked, name: str, run: Run, number: int, warm: set[str]
-) -> None:
+def _synthesise(asked: Asked, name: str, run: Run, number: int) -> None:
     if run.is_done(run.tasks[number]):
         return
-    if name not in warm:
-        _compile(library, asked, name)
-        warm.add(name)
-    cpu = time.process_time()
+    how, hear = _one(run, number), noted_in(run.path)
     report = synth_library(
-        asked.library, run.path, _request(asked, name), execution=_one(run, number)
+        asked.library, run.path, _request(asked, name), execution=how, on_task=hear
     )
-    cpu = time.process_time() - cpu
     if report.failures:
         sys.exit(f"{run.path}: {report.failures[0].reason}")
-    line = {
-        "object_id": run.tasks[number].object_id,
-        "attempts": sum(report.by_status.values()),
-        "seconds": report.seconds,
-        "cpu_seconds": cpu,
-    }
-    with (run.path / TIMES).open("a") as file:
-        file.write(json.dumps(line) + "\n")
 
 
 def _validate(run: Run, number: int) -> None:
     if not run.is_done(run.tasks[number], PROTOCOL):
         validate_run(run, load_protocol(PROTOCOL), ("f",), execution=_one(run, number))
-
-
-def _compile(library: Library, asked: Asked, name: str) -> None:
-    left, right = load_hands(asked.hand)
-    obj = library.load(library.object_ids[0])
-    config = with_overrides(load_method(name).config(), FEWEST_STEPS[name])
-    synthesize(obj, (left, right), [Scene(obj.object_id, asked.sizes_mm[0])], config, grasps=1)
-
-
-def _times(run: Run) -> list[dict[str, Any]]:
-    """What each synthesis took; that of a call that was killed is not there."""
-    return [json.loads(line) for line in (run.path / TIMES).read_text().splitlines()]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -45,6 +45,11 @@ FEWER_FAIL = ("settled_pressed", "settled_touching")
 """Of these the smaller figure is a grasp's that fails."""
 
 
+def tuned_on(object_id: str) -> bool:
+    """Tell whether constants were tuned on an object: by the first digit of its file's sha256."""
+    return object_id.rsplit("-", 1)[-1][0] in TUNE
+
+
 def auc(figure: NDArray[np.float64], failed: NDArray[np.bool_]) -> float:
     """Chance that a failed row has the larger figure than a passed one; ties count half."""
     from scipy.stats import mannwhitneyu
@@ -78,8 +83,15 @@ def measure(
     closed = {f"settled_{name}": values for name, values in rest._asdict().items()}
     failed, status = ~rows["success"], rows["verdict_status"]
     causes = [Status(int(s)) for s in np.unique(status[failed])]
-    tuned = np.array([str(name).rsplit("-", 1)[-1][0] in TUNE for name in rows.object_id])
-    found: dict[str, Any] = {"n": len(rows), "failed": int(failed.sum()), "auc": {}}
+    tuned = np.array([tuned_on(str(name)) for name in rows.object_id])
+    found: dict[str, Any] = {
+        "run": run.fingerprint,
+        "protocol": protocol,
+        "test": test,
+        "n": len(rows),
+        "failed": int(failed.sum()),
+        "auc": {},
+    }
     for name, words in CRITERIA.items():
         figure = closed[name] if name in closed else rows[name].astype(np.float64)
         figure = figure * (-1 if name in FEWER_FAIL else 1)

@@ -15,7 +15,9 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-_SOURCES = "BODex|DexGraspBench|Measured|Measurements|Not in|Ours|Paper|Protocol"
+_SOURCES = (
+    "BODex|BimanGrasp|DexGraspBench|Measured|Measurements|Not in|Ours|Paper|Protocol|The fork"
+)
 """How a sentence begins that says where a value is from."""
 
 
@@ -48,10 +50,14 @@ class ConfigGroup(NamedTuple):
 
 
 def config_groups(config: Any, name: str = "", meaning: str = "") -> Iterator[ConfigGroup]:
-    """Yield the groups of a nested configuration, each before those in it, and their keys."""
+    """Yield the groups of a nested configuration, each before those in it, and their keys.
+
+    A value that is not its class's default has the source that the group's own text states.
+    """
     from bidexdata.config import to_plain
 
     texts, plain = _field_texts(type(config)), to_plain(config)
+    of_group = _parts_of(meaning)[2]
     keys, inner = [], []
     for field in dataclasses.fields(config):
         if field.name not in plain:  # left out where it is None: no key of `--set`
@@ -61,11 +67,19 @@ def config_groups(config: Any, name: str = "", meaning: str = "") -> Iterator[Co
         if dataclasses.is_dataclass(value):
             inner.append((value, key, text or _first_line(value)))
         else:
-            keys.append(ConfigKey(key, plain[field.name], *_parts_of(text)))
+            unit, says, source = _parts_of(text)
+            if of_group and value != _default(field):
+                source = of_group
+            keys.append(ConfigKey(key, plain[field.name], unit, says, source))
     if keys:
         yield ConfigGroup(name, meaning, tuple(keys))
     for value, key, text in inner:
         yield from config_groups(value, key, text)
+
+
+def _default(field: dataclasses.Field) -> Any:
+    made = field.default_factory
+    return field.default if made is dataclasses.MISSING else made()
 
 
 def _first_line(config: Any) -> str:

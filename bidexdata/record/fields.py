@@ -105,7 +105,7 @@ _ALL = (
     _f("contact_point", "float32", "H C 3", "m", "object", "synth", "contacts", "object surface point closest to the contact point, at the grasp"),
     _f("contact_normal", "float32", "H C 3", "", "object", "synth", "contacts", "outward unit surface normal there"),
     _f("contact_force", "float32", "H C 3", "cap", "object", "synth", "contacts", "force on the object in the coupled zero-load QP, in units of the cap"),
-    _f("force_scale", "float32", "H", "N", "", "synth", "contacts", "newtons per unit of contact_force: the squeeze adds the joint torques J^T f of these forces to 2 G - G_pre; 0 where it adds none"),
+    _f("force_scale", "float32", "H", "N", "", "synth", "contacts", "newtons per unit of contact_force: to G + extrapolate (G - G_pre) the squeeze adds the joint torques J^T f of these forces, and base_lead times what the base gives way under them; 0 where it adds neither"),
     _f("steps", "int32", "", "", "", "synth", "grasps", "optimiser steps taken"),
     _f("seed", "int64", "", "", "", "synth", "grasps", "seed of the task that made the attempt"),
     _f("selected", "bool", "", "", "", "synth", "grasps", "one of the N best attempts of its scene"),

@@ -71,6 +71,8 @@ class StageReport:
     by_size: dict[int, dict[str, int]] = field(default_factory=dict)
     """`by_status` for each `size_mm`."""
     seconds: float = 0.0
+    cpu_seconds: float = 0.0
+    """That the workers' processes computed for its tasks; 0 where the stage does not say."""
 
     @property
     def finished(self) -> int:
@@ -105,6 +107,7 @@ def run_stage(
     start = time.monotonic()
     failures: list[TaskFailure] = []
     rows = good = 0
+    cpu = 0.0
     by_status: Counter[str] = Counter()
     by_size: dict[int, Counter[str]] = defaultdict(Counter)
     without: list[str] = []
@@ -123,6 +126,7 @@ def run_stage(
             else:
                 rows += result.rows
                 good += result.good
+                cpu += result.cpu_seconds
                 by_status.update(result.by_status)
                 for size, counts in result.by_size.items():
                     by_size[size].update(counts)
@@ -140,4 +144,5 @@ def run_stage(
         without_grasp=tuple(sorted(without)),
         by_size={size: dict(counts) for size, counts in sorted(by_size.items())},
         seconds=time.monotonic() - start,
+        cpu_seconds=cpu,
     )

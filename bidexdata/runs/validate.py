@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
+import os
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -233,7 +234,7 @@ def _validate_task(
 
     run = open_unchanged(run_path, run_fingerprint)
     log_to(run.path / "logs")
-    start = time.monotonic()
+    start, cpu = time.monotonic(), time.process_time()
     protocol = from_plain(Protocol, protocol_data)
     path = shard_path(run.stage_folder("validate", protocol.name, test), task.task_id)
     mark = verdict_fingerprint(run, protocol, test)
@@ -264,4 +265,10 @@ def _validate_task(
     logging.getLogger(__name__).info(
         "task %s test %s: %d rows in %.1f s", task.task_id, test, len(batch), seconds
     )
-    return TaskSummary(len(batch), int(np.sum(columns["success"])), dict(Counter(labels)))
+    return TaskSummary(
+        len(batch),
+        int(np.sum(columns["success"])),
+        dict(Counter(labels)),
+        cpu_seconds=time.process_time() - cpu,
+        process=os.getpid(),
+    )

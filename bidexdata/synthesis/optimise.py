@@ -29,6 +29,11 @@ if TYPE_CHECKING:
     from bidexdata.synthesis.optimise_config import ClosureConfig, OptimiseConfig, PhaseConfig
 
 
+READOUT_ITERATIONS = 100
+"""QP iterations, from zero, behind the recorded `energy_qp`, at least [-]. Ours: 40 rank like 1500
+(docs/measurements.md, 2), and one evaluation per grasp costs little beside the steps."""
+
+
 class Look(NamedTuple):
     """One look at an optimisation: the energies on the device are those of the poses on it."""
 
@@ -220,7 +225,7 @@ def _evaluate(ws: Workspace, config: OptimiseConfig, watch: Watch | None) -> Ene
         ws.torque_length,
         qp,
         closure.qp,
-        iterations=max(closure.start_iterations, 100),
+        iterations=max(closure.start_iterations, READOUT_ITERATIONS),
     )
     if watch is not None:
         watch(Look("end", 0, ws, qp))

@@ -32,8 +32,8 @@ class ClosureConfig:
     """`decoupled`: each hand its own closure (paper 4.3); `coupled`: all contacts of both hands
     with each hand pressing; `mix`: both. Measurements, 3: equal within noise."""
     weight_decoupled: float = 10.0
-    """Weight of the sum of both hands' Q [-]. Measured with the zero wrench: from 40 to 10 the
-    finger-object distances spread over 3.6 instead of 6 mm at no loss of success."""
+    """Weight of the sum of both hands' Q [-]. Measurements, 3: 10 and 40 are equal within noise.
+    Ours, the smaller: finger-object distances spread less with it."""
     weight_coupled: float = 20.0
     """Weight of the coupled Q [-]. Measurements, 14."""
     shift: float = 0.012
@@ -41,11 +41,10 @@ class ClosureConfig:
     tangent plane, each at its own pace, so that the balance does not hang on exact places.
     Measurements, 14; the paper has 0."""
     turns: float = 16.0
-    """Mean number of circles during the approach [-]. The value of measurements, 14, not varied
-    there."""
+    """Mean number of circles during the approach [-]. Measurements, 14: not varied there."""
     disturbances: Disturbances = "zero"
-    """`forces`: six unit forces +-x, +-y, +-z (paper 3); `zero`: the zero wrench alone, which
-    costs a quarter of the QP time at equal success (measurements, 3; again here)."""
+    """`forces`: six unit forces +-x, +-y, +-z (paper 3); `zero`: the zero wrench alone.
+    Measurements, 3: equal success within noise, and half the time of a step."""
     qp: QPConfig = field(default_factory=QPConfig)
     """The contact QP of all groups."""
     torque_length: float = TORQUE_LENGTH
@@ -79,11 +78,11 @@ class EnergyConfig:
     region: float = 2.0
     """Weight of E_region [1/m]. Measurements, 4; paper 6.2 has 50."""
     region_distance: Literal["anchor", "points"] = "anchor"
-    """Distance of a contact point to its region: to the region's centre (measurements, 3), or to
-    the nearest of its points (paper, appendix B)."""
+    """Distance of a contact point to its region: to the region's centre, or to the nearest of its
+    points. Measurements, 3, had the centre; paper, appendix B, has the points."""
     region_threshold: float = 0.06
-    """Threshold a of phi [m]; b = 2 a. The prototype's, for the distance to the centre, and not
-    varied there (measurements, 3 and 4). The paper gives no value."""
+    """Threshold a of phi [m]; b = 2 a. Measurements, 3 and 4: for the distance to the centre, and
+    not varied there; the paper gives no value."""
     penetration: float = 20_000.0
     """Weight of squared hand-object sphere depths [1/m2]. Measurements, 3; the paper gives no
     value."""

@@ -48,7 +48,8 @@ class PlacementConfig:
 
     contacts: tuple[ContactSet, ...] = ("fingertips", "with_palm")
     """What the hands touch with: `fingertips` (paper), `pads` (fingertips and the links behind them)
-    or `with_palm` (fingertips and places of the palm). Attempts take several in turn."""
+    or `with_palm` (fingertips and places of the palm). Attempts take several in turn.
+    Measurements, 18."""
     table_contacts: tuple[ContactSet, ...] = ("fingertips",)
     """The same on a table, where palms meet it before they meet the object. Measurements, 18."""
     pairs: int = 40
@@ -60,18 +61,20 @@ class PlacementConfig:
     """Every collision sphere to the hull, to the table and to the other hand [m]. The margin
     between hands of measurements, 4."""
     over: Literal["contacts", "palm"] = "contacts"
-    """What hangs over the hull point: the middle of the contact points, or the palm (paper)."""
+    """What hangs over the hull point: the middle of the contact points, or the palm. Ours; the
+    paper has the palm."""
     repeats: Literal["centre", "region"] = "centre"
     """Where a pair's attempts after its first start. `centre`: over the region's centre again, so
     that roll, tilt and shift alone tell them apart. `region`: over a point drawn within the region
     (paper 4.2: initial poses are sampled within the regions). Ours: the paper does not say how the
     20 grasps of a world differ."""
     roll: float = pi
-    """Largest turn about the palm normal from the preferred direction [rad]: pi is any roll
-    (no effect on success; measurements, 2), 0 the paper's preferred direction."""
+    """Largest turn about the palm normal from the preferred direction [rad]: pi is any roll.
+    Measurements, 2: no effect on success; the paper has 0, the preferred direction."""
     table_fingers: Literal["down", "preferred"] = "down"
     """Where the fingers point on a table. `down`: within `table_roll` of straight down, so that the
-    arms come from above; a palm that faces down has any roll. `preferred`: as when floating."""
+    arms come from above; a palm that faces down has any roll. `preferred`: as when
+    floating. Ours; the paper has one direction for each hand."""
     table_roll: float = pi / 2
     """Largest turn from fingers down [rad]. Ours."""
     table_raise: float = 0.06

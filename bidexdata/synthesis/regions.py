@@ -68,8 +68,8 @@ class RegionConfig:
     fingertip of 8 mm and the distance it keeps. Ours."""
     score: Literal["random", "force", "torque"] = "torque"
     """`force`: the paper's score. `torque`: those best by force and as many random ones, ranked by
-    the residual of the coupled contact QP, torques included. Success of unselected grasps
-    (measurements, 2): random 45, force 67, torque 86 %."""
+    the residual of the coupled contact QP, torques included. Measurements, 2: success of unselected
+    grasps is 45 % by lot, 67 % by `force`, 86 % by `torque`."""
     force_friction: float = 0.3
     """Friction coefficient of the force score [-]. Measurements, 4; the paper gives none."""
     reranked: int = 400
@@ -95,7 +95,7 @@ class RegionConfig:
     sides: Literal["preferred", "table", "random"] = "table"
     """Which hand gets which region. `preferred`: the left hand the one farther to the left (world
     +y), so that arms in front of the robot do not cross. `random`: by lot. `table`: preferred on a
-    table; by lot when floating, where no arm crosses and D falls by a sixth (measurements, 15)."""
+    table, by lot when floating, where no arm crosses. Measurements, 15."""
 
     def __post_init__(self) -> None:
         ranges = {

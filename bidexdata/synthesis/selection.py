@@ -30,7 +30,7 @@ class SelectionConfig:
     start_depth: float = 0.010
     """Deeper pre-grasp penetration is a failed attempt [m]. DexGraspBench start check: 10 mm."""
     hands_depth: float = 0.010
-    """The same within and between hands [m]. The same start check."""
+    """The same within and between hands [m]. DexGraspBench, the same check."""
     table_depth: float = 0.005
     """Hands deeper than this in the table at any of the three stages are a failed attempt [m]. Ours:
     half the start check, because the squeeze's target, which the hands only press towards, reaches
@@ -51,7 +51,7 @@ class SelectionConfig:
     shifted_sets: int = 12
     """Moved sets of contacts per attempt [-]. Measurements, 14."""
     shifted_iterations: int = 60
-    """QP iterations of each [-]. The value of measurements, 14, not varied there."""
+    """QP iterations of each [-]. Measurements, 14: not varied there."""
     settling: SettlingConfig = field(default_factory=SettlingConfig)
     """The model of closing hands, the other part of that figure."""
     residual_iterations: int = 150

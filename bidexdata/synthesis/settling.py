@@ -40,11 +40,11 @@ class SettlingConfig:
     closing_moves: int = 2
     """Equal moves from pre-grasp to grasp [-]. Measurements, 21: more change little."""
     pressing_moves: int = 6
-    """Equal moves from grasp to squeeze [-]. The same."""
+    """Equal moves from grasp to squeeze [-]. Measurements, 21: likewise."""
     waiting_moves: int = 4
-    """Moves after that, with the targets at rest [-]. The same."""
+    """Moves after that, with the targets at rest [-]. Measurements, 21: likewise."""
     repeats: int = 2
-    """How often contact points and object give way to each other in a move [-]. The same."""
+    """How often contact points and object give way to each other in a move [-]. Measurements, 21: likewise."""
     stride: float = 0.005
     """Farthest way of a contact point or the object in one of these [m]. Ours: less than the radius
     of a fingertip, so that none passes through a thin plate."""

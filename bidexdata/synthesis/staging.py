@@ -34,13 +34,15 @@ class StagingConfig:
 
     extrapolate: float = 0.25
     """Squeeze = grasp + extrapolate (grasp - pregrasp) [-]. It presses with whatever force the
-    fingers' stiffness gives, the joint torques with balanced ones. Measurements, 15; paper 4.4:
+    fingers' stiffness gives, the joint torques with balanced ones. Measurements, 17; paper 4.4:
     2 G - G_pre, so 1."""
     force_floor: float = 10.0
     """Sum of a hand's normal forces whose joint torques the squeeze adds, at least [N]; 0 with a
-    zero `force_per_weight` leaves the joint torques out (the paper). Measurements, 15."""
+    zero `force_per_weight` leaves the joint torques out (the paper). Ours: between the 8 and 15 N
+    of measurements, 17."""
     force_per_weight: float = 3.0
-    """The same per newton of the object's weight [-]. Measurements, 5: at 0.8 m 65 -> 84 %."""
+    """The same per newton of the object's weight [-]. Measurements, 17: 3 once the base leads;
+    section 5 had 8."""
     stiffness: float = 5.0
     """Gain of the position actuators that will follow the target [N m/rad]. Protocol paper-1."""
     base_lead: float = 1.0
@@ -52,7 +54,8 @@ class StagingConfig:
     density: float = 2.5
     """Density that the weight is computed with [kg/m3]. Paper 6.1."""
     mass: float = 0.0
-    """Mass that the weight is computed with, in place of the density's; 0 leaves it to that [kg]."""
+    """Mass that the weight is computed with, in place of the density's; 0 leaves it to that [kg].
+    Ours."""
     opened: tuple[float, float] | None = field(default=None, metadata=OMIT_NONE)
     """In place of the optimised pre-grasp the grasp with its palms this far back [m] and its closing
     joints this far open [rad], as the paper tests grasps that have none (6.1: 0.01 and 0.1)."""

@@ -38,15 +38,15 @@ class QPConfig:
     """Constants of the contact QP; forces are in units of the cap."""
 
     mu: float = 0.3
-    """Friction coefficient of the cones [-]. Half the simulated 0.6, as a margin; measurements, 3:
-    0.1, 0.3 and 0.6 differ by 3 points of success. The paper gives none, BODex uses 0.1."""
+    """Friction coefficient of the cones [-]. Ours: half the simulated 0.6, as a margin; measurements,
+    3: 0.1, 0.3 and 0.6 differ by 3 points of success. The paper gives none, BODex uses 0.1."""
     cone_sides: int = 0
     """Sides of the pyramids around the cones that stand for them [-]; 0 leaves the cones round. BODex
     has 8; docs/measurements.md, 3: it changes nothing that shows."""
     gamma: float = 1.0
     """Least sum of normal forces of each hand [caps]. BODex's bound; the paper gives no value."""
     cap: float = 1.0
-    """Largest normal force of one contact. The paper's friction cone (appendix A) ends at 1."""
+    """Largest normal force of one contact. Paper, appendix A: the friction cone ends at 1."""
     beta: float = 0.2
     """Size of the disturbances [caps]. BODex's `k_lower`; the paper gives no value."""
 

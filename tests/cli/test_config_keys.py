@@ -13,6 +13,7 @@ from bidexdata.cli import config_keys
 from bidexdata.cli.main import COMMANDS, run
 from bidexdata.config import to_plain, with_overrides
 from bidexdata.objects.config import PrepareConfig
+from bidexdata.synthesis.method_names import METHODS
 from bidexdata.synthesis.presets import describe_preset, load_preset, preset_names
 from bidexdata.validation.protocols import load_protocol, protocol_names
 
@@ -74,6 +75,20 @@ def test_units_and_sources_come_from_the_text_and_a_presets_reason_goes_first(ca
         assert keys["optimise.grasp.steps"]["source"]  # of presets.PAPER_OPEN
         for change in describe_preset(name).changes:
             assert keys[change.key]["source"] == f"{name}: {change.reason}"
+
+
+@pytest.mark.parametrize("name", [*preset_names(), *METHODS[1:]])
+def test_every_key_of_a_method_says_where_its_value_is_from(name: str, capsys):
+    keys = [k for g in listed(name, capsys)["groups"] for k in g["keys"]]
+    assert keys
+    assert not [k["key"] for k in keys if not k["source"]]
+
+
+def test_a_value_that_a_method_sets_has_the_methods_source(capsys):
+    keys = {k["key"]: k for g in listed("bodex", capsys)["groups"] for k in g["keys"]}
+    assert keys["qp.mu"]["source"].startswith("BODex: friction 0.1")
+    assert keys["qp.gamma"]["source"] == "BODex's bound; the paper gives no value"
+    assert keys["staging.force_floor"]["source"] == "BODex"
 
 
 def test_the_parts_of_a_text():

@@ -162,7 +162,7 @@ class BimanGraspConfig:
     annealing: AnnealingConfig = field(default_factory=AnnealingConfig)
     stages: BimanGraspStagingConfig = field(default_factory=BimanGraspStagingConfig)
     staging: StagingConfig = field(default_factory=_staging)
-    """The squeeze 2 G - G_pre, without joint torques (paper: palm and joints alone)."""
+    """The squeeze 2 G - G_pre, without joint torques. Paper: palm and joints alone."""
     selection: SelectionConfig = field(default_factory=keep_everything)
     """Every attempt is kept: BimanGrasp has thresholds for its log, and filters by simulation."""
 

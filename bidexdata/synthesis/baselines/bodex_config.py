@@ -170,7 +170,7 @@ class BodexConfig:
     BODex: half the diagonal."""
     schedule: BodexScheduleConfig = field(default_factory=BodexScheduleConfig)
     staging: StagingConfig = field(default_factory=_staging)
-    """The squeeze: joints 2 q - q_pre; the base stays, and no joint torques (BODex)."""
+    """The squeeze: joints 2 q - q_pre; the base stays, and no joint torques. BODex."""
     selection: SelectionConfig = field(default_factory=keep_everything)
     """Every attempt is kept: BODex's output is unfiltered."""
 
