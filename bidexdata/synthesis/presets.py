@@ -125,10 +125,6 @@ PAPER_GIVEN = (
 
 PAPER_OPEN = (
     Kept("optimise.closure.qp.mu", "measurements, 3 (0.1 to 0.6 differ by 3 points)"),
-    Kept(
-        "optimise.closure.qp.cone_sides",
-        "ours, round; appendix A discretises the cones, into how many sides it does not say; BODex 8",
-    ),
     Kept("optimise.closure.qp.beta", "BODex, k_lower 0.2"),
     Kept("optimise.closure.qp.gamma", "BODex, sum of five normal forces at least 1"),
     Kept("optimise.closure.torque_length", "measurements, 4; BODex has half the diagonal"),
