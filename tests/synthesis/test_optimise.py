@@ -259,6 +259,19 @@ def test_the_pads_end_at_the_distances_asked_for(body, hands):
             assert abs(np.median(gaps) - wanted) < 2e-3
 
 
+def test_contact_spheres_have_a_margin_of_their_own(body, hands):
+    # The margin of 2 mm and the weight of the distance leave pads 1.9 mm off; without it they touch.
+    def mean_gap(margin):
+        energy = EnergyConfig(contact_margin=margin)
+        return optimise(
+            body, hands, facing_start(hands, 8), OptimiseConfig(energy=energy)
+        ).gaps.mean()
+
+    kept, let_in = mean_gap(EnergyConfig().object_margin), mean_gap(-0.002)
+    assert kept == pytest.approx(1.9e-3, abs=4e-4)
+    assert let_in < 0.6 * kept
+
+
 def test_joints_stay_within_their_limits(body, hands):
     phase = PhaseConfig(
         steps=30, distance=0.0, step_position=0.0, step_rotation=0.0, step_joints=1.0
