@@ -74,7 +74,7 @@ def explain_page(report: ExplainReport, hands: Sequence[Hand], run_fingerprint: 
         parts += ["## Verdicts of the run", "\n".join(f"- {v.text}" for v in report.verdicts)]
     if one.trace is not None:
         parts += ["![energies](energies.png)"]
-    if one.moments:
+    if one.poses:
         parts += ["## Distances", _distances(one)]
     if one.finished is not None:
         parts += ["## Contacts at the grasp", _contacts(one)]
@@ -89,7 +89,7 @@ def _mark(passed: bool | None) -> str:
 
 def _distances(one: Explanation) -> str:
     rows = []
-    for m in one.moments:
+    for m in one.poses:
         ranges = [f"{1e3 * g.min():.1f} to {1e3 * g.max():.1f}" for g in m.gaps]
         rows.append((m.name, *ranges, f"{1e3 * m.depth:.1f}"))
     head = (

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
     from bidexdata.objects.prepared import Solid
     from bidexdata.record import Scene
-    from bidexdata.synthesis.explain import Explanation, Moment
+    from bidexdata.synthesis.explain import Explanation, StagePose
     from bidexdata.synthesis.trace import Trace
 
 WIDTH, HEIGHT = 330, 250
@@ -95,7 +95,7 @@ def stages_sheet(
     scene = one.attempts.scene
     ground = _ground(solid, scene)
     regions = _regions(one, scene)
-    seen = {m.name: _hands(m, hands, scene) for m in one.moments if _finite(m)}
+    seen = {m.name: _hands(m, hands, scene) for m in one.poses if _finite(m)}
     shots = [("regions", "regions", [*ground, *regions])]
     for name, parts in seen.items():
         marks = _contacts(one, scene) if name in ("grasp", "squeeze") else regions
@@ -171,11 +171,11 @@ def _regions(one: Explanation, scene: Scene) -> list[Part]:
     return parts
 
 
-def _hands(moment: Moment, hands: Sequence[Hand], scene: Scene) -> list[Part]:
+def _hands(pose: StagePose, hands: Sequence[Hand], scene: Scene) -> list[Part]:
     origin, turn = np.array(scene.object_pos), np.array(scene.object_quat_wxyz)
-    pos = quat_rotate(turn, moment.position) + origin
-    quat = quat_multiply(turn, moment.quat_wxyz)
-    return [hand_part(hand, pos[h], quat[h], moment.joints[h]) for h, hand in enumerate(hands)]
+    pos = quat_rotate(turn, pose.position) + origin
+    quat = quat_multiply(turn, pose.quat_wxyz)
+    return [hand_part(hand, pos[h], quat[h], pose.joints[h]) for h, hand in enumerate(hands)]
 
 
 def _contacts(one: Explanation, scene: Scene) -> list[Part]:
@@ -203,6 +203,6 @@ def _in_world(part: Part, scene: Scene) -> Part:
     return moved(part, matrix_from_quat(np.array(scene.object_quat_wxyz)), scene.object_pos)
 
 
-def _finite(moment: Moment) -> bool:
-    numbers = (moment.position, moment.quat_wxyz, *moment.joints)
+def _finite(pose: StagePose) -> bool:
+    numbers = (pose.position, pose.quat_wxyz, *pose.joints)
     return all(bool(np.isfinite(n).all()) for n in numbers)

@@ -12,7 +12,7 @@ import numpy as np
 from bidexdata.frames import quat_angle
 from bidexdata.record import Status
 from bidexdata.synthesis.config import SynthConfig
-from bidexdata.synthesis.explain import Explanation, Finished, Moment
+from bidexdata.synthesis.explain import Explanation, Finished, StagePose
 from bidexdata.synthesis.selection import touching
 from bidexdata.synthesis.trace import TERMS, Trace
 from bidexdata.wording import counted
@@ -50,7 +50,7 @@ def stage_words(one: Explanation, config: SynthConfig, grasps: int) -> list[Stag
     """
     said = [_regions(one), *_start(one, config)]
     if one.trace is not None and one.finished is not None:
-        at = {m.name: m for m in one.moments}
+        at = {m.name: m for m in one.poses}
         said += [
             _approach(one.trace, at, config),
             _pregrasp(one, one.finished, at, config),
@@ -88,12 +88,12 @@ def _start(one: Explanation, config: SynthConfig) -> list[StageWords]:
         return [StageWords("start", text, False)]
     flat = one.attempts.pairs.flatness[placed.pair_index[one.number]] < config.placement.flat
     fingers = ["open" if is_flat else "curved" for is_flat in flat]
-    pads = _pads(one.moments[0])
+    pads = _pads(one.poses[0])
     text = f"left fingers {fingers[0]}, right {fingers[1]}; {pads}"
     return [StageWords("start", text, True)]
 
 
-def _approach(trace: Trace, at: dict[str, Moment], config: SynthConfig) -> StageWords:
+def _approach(trace: Trace, at: dict[str, StagePose], config: SynthConfig) -> StageWords:
     text = _descent(trace, "approach")
     if "approach" in at:
         text += f"; {_pads(at['approach'])}, wanted {_mm(config.optimise.approach.distance)}"
@@ -101,7 +101,7 @@ def _approach(trace: Trace, at: dict[str, Moment], config: SynthConfig) -> Stage
 
 
 def _pregrasp(
-    one: Explanation, done: Finished, at: dict[str, Moment], config: SynthConfig
+    one: Explanation, done: Finished, at: dict[str, StagePose], config: SynthConfig
 ) -> StageWords:
     select = config.selection
     overlaps = [
@@ -120,7 +120,9 @@ def _pregrasp(
     return StageWords("pregrasp", f"{text}; hands in {deep}", good)
 
 
-def _grasp(trace: Trace, done: Finished, at: dict[str, Moment], config: SynthConfig) -> StageWords:
+def _grasp(
+    trace: Trace, done: Finished, at: dict[str, StagePose], config: SynthConfig
+) -> StageWords:
     select = config.selection
     widest = max(len(gaps) for gaps in done.gaps)
     padded = np.full((1, 2, widest), np.nan)
@@ -156,7 +158,7 @@ def _forces(one: Explanation, done: Finished, config: SynthConfig) -> StageWords
     return StageWords("forces", text, bool(residual <= most))
 
 
-def _squeeze(at: dict[str, Moment]) -> StageWords:
+def _squeeze(at: dict[str, StagePose]) -> StageWords:
     if not {"grasp", "squeeze"} <= set(at):
         return StageWords("squeeze", "aims where the grasp is")
     grasp, target = at["grasp"], at["squeeze"]
@@ -240,8 +242,8 @@ def _descent(trace: Trace, phase: str) -> str:
     )
 
 
-def _pads(moment: Moment) -> str:
-    gaps = np.concatenate(moment.gaps)
+def _pads(pose: StagePose) -> str:
+    gaps = np.concatenate(pose.gaps)
     if not np.isfinite(gaps).all():
         return "pads nowhere: not finite"
     return f"pads {1e3 * gaps.min():.1f} to {1e3 * gaps.max():.1f} mm from the surface"

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from bidexdata.synthesis.selection import SelectionConfig
 
 
-class Moment(NamedTuple):
+class StagePose(NamedTuple):
     """Both hands of one attempt at one stage, object frame."""
 
     name: str
@@ -87,7 +87,7 @@ class Explanation:
     """With the contact points that the attempt touches with."""
     order: Int[np.ndarray, " U"]
     """Attempts that may be kept, best first."""
-    moments: tuple[Moment, ...]
+    poses: tuple[StagePose, ...]
     """The hands from the start on, as far as the attempt came; where no start is free the last that
     was drawn."""
     trace: Trace | None
@@ -168,7 +168,7 @@ def explain_attempt(
             *(found.places, config.selection),
         ),
         hands=views,
-        moments=tuple(_moment(n, p, obj, views, scene.size) for n, p in poses.items()),
+        poses=tuple(_stage_pose(n, p, obj, views, scene.size) for n, p in poses.items()),
         trace=trace,
         finished=None if row is None else _finished(staged, row, views, config.selection),
         rows=scene_rows(
@@ -188,9 +188,9 @@ def _placement(one: Attempts, hands: Sequence[Hand], number: int) -> Mapping[str
     return {"start": Pose(placed.hand_pos[row], placed.hand_quat[row], (joints[0], joints[1]))}
 
 
-def _moment(
+def _stage_pose(
     name: str, pose: Pose, obj: PreparedObject, hands: Sequence[Hand], size: float
-) -> Moment:
+) -> StagePose:
     gaps, deepest = [], 0.0
     for h, hand in enumerate(hands):
         at = hand_points(hand, pose.joints[h][0], pose.position[0, h], pose.quat_wxyz[0, h])
@@ -203,7 +203,7 @@ def _moment(
         inside = hand.sphere_radius - signed_distance(obj.sdf, size, at.sphere)[0]
         deepest = max(deepest, float(inside.max()))
     joints = (pose.joints[0][0], pose.joints[1][0])
-    return Moment(
+    return StagePose(
         name, pose.position[0], pose.quat_wxyz[0], joints, (gaps[0], gaps[1]), float(deepest)
     )
 

@@ -92,7 +92,7 @@ def test_a_trace_ends_in_the_energies_and_poses_of_the_row(explained):
             "energy_self": last["self_penetration"],
         }.items():
             assert one.rows[name][i] == pytest.approx(value, rel=F32)
-        at = {m.name: m for m in one.moments}
+        at = {m.name: m for m in one.poses}
         assert list(at) == ["start", "quarter", "approach", "pregrasp", "grasp", "squeeze"]
         for s, name in enumerate(("pregrasp", "grasp", "squeeze")):
             np.testing.assert_allclose(one.rows["hand_pos"][i, :, s], at[name].position, atol=F32)
@@ -105,7 +105,7 @@ def test_a_trace_ends_in_the_energies_and_poses_of_the_row(explained):
 
 def test_a_start_hangs_where_it_was_placed_and_the_way_goes_on_from_there(explained):
     for one in explained:
-        start, quarter = one.moments[0], one.moments[1]
+        start, quarter = one.poses[0], one.poses[1]
         np.testing.assert_allclose(
             start.position, one.attempts.placed.hand_pos[one.number], atol=F32
         )
@@ -135,7 +135,7 @@ def test_an_attempt_without_a_pair_has_nothing_to_show(obj, hands, scene):
     config = with_overrides(CONFIG, ["regions.gap=1.0", "regions.wide=10"])
     one = explain(obj, hands, scene, 1, config)
     assert one.status is Status.NO_REGION_PAIR
-    assert (one.moments, one.trace, one.finished, one.rank) == ((), None, None, None)
+    assert (one.poses, one.trace, one.finished, one.rank) == ((), None, None, None)
 
 
 def test_an_attempt_without_a_start_shows_its_last_draw(obj, hands):
@@ -147,11 +147,11 @@ def test_an_attempt_without_a_start_shows_its_last_draw(obj, hands):
     number = int(np.argmax(status == Status.NO_PLACEMENT))
     one = explain(obj, hands, table, number, config)
     assert one.status is Status.NO_PLACEMENT
-    assert [m.name for m in one.moments] == ["start"]
+    assert [m.name for m in one.poses] == ["start"]
     assert (one.trace, one.finished, one.rank) == (None, None, None)
     lowest = 1.0
     for h, hand in enumerate(hands):
-        start = one.moments[0]
+        start = one.poses[0]
         at = hand_points(hand, start.joints[h], start.position[h], start.quat_wxyz[h])
         up = at.sphere @ table_plane(table)[:3] + table_plane(table)[3]
         lowest = min(lowest, float(np.min(up - hand.sphere_radius)))
