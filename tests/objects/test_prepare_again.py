@@ -40,16 +40,16 @@ def start(sources: list[str], out: Path) -> subprocess.Popen:
 def test_five_kills_at_random_moments_leave_the_library_of_an_undisturbed_run(tmp_path: Path):
     train = ROOT.parent / "shared" / "objects" / "train"
     sources = ["shapes", *(str(train / name) for name in REAL if (train / name).is_file())]
-    begun = time.monotonic()
     assert start(sources, tmp_path / "whole").wait(900) == 0
-    whole = time.monotonic() - begun
 
-    out = tmp_path / "killed"
-    # Together half of the whole time, much of which is spent on starting anew: it never gets done.
-    for share in np.random.default_rng(0).dirichlet(np.full(KILLS, 3.0)) / 2:
+    out, rng = tmp_path / "killed", np.random.default_rng(0)
+    # Each time at a random moment of work, after one more object is done: never all, never none.
+    for kill in range(KILLS):
         process = start(sources, out)
-        time.sleep(share * whole)
-        assert process.poll() is None, "the kill came too late"
+        while len(list(out.glob("objects/*/*/object.json"))) <= kill:
+            assert process.poll() is None, "the kill came too late"
+            time.sleep(0.05)
+        time.sleep(rng.uniform(0, 2))
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
     assert not (out / "index.parquet").exists()
