@@ -74,7 +74,7 @@ def prepared(
     body = surface_points(hands[1], config.energy.hand_points)
     touching = (
         with_contacts(hands[0], on_hands[0]),
-        with_contacts(hands[1], joined(on_hands[1], body)),
+        with_contacts(hands[1], joined([on_hands[1], body])),
     )
     ws = allocate(obj, touching, start, np.ones(len(start.size)), device)
     points = obj.surface_points[: config.energy.object_points]
