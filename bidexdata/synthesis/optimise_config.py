@@ -9,19 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from bidexdata.errors import BadConfig
+from bidexdata.config import refuse_outside
 from bidexdata.wrench.qp import LEAST_TORQUE_LENGTH, TORQUE_LENGTH, QPConfig
 
 Groups = Literal["decoupled", "coupled", "mix"]
 Disturbances = Literal["forces", "zero"]
-
-
-def refuse_outside(owner: object, name: str, low: float | int, high: float | int) -> None:
-    """Raise `BadConfig` unless `owner.name` lies in [low, high]."""
-    value = getattr(owner, name)
-    if not low <= value <= high:
-        where = type(owner).__name__
-        raise BadConfig(f"{where}.{name} must lie between {low} and {high}, not {value!r}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

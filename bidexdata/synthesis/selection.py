@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
+from bidexdata.config import refuse_outside
 from bidexdata.record import Status
-from bidexdata.synthesis.optimise_config import refuse_outside
 from bidexdata.synthesis.settling import Settled, SettlingConfig
 
 LEAST_RESIDUAL, LEAST_TURN = 1e-7, 1e-3

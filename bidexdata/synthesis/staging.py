@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bidexdata.config import OMIT_NONE
+from bidexdata.config import OMIT_NONE, refuse_outside
 from bidexdata.errors import BadConfig
 from bidexdata.frames import (
     quat_conjugate,
@@ -18,7 +18,6 @@ from bidexdata.frames import (
     rotation_vector_from_quat,
 )
 from bidexdata.synthesis.forces import BaseGive
-from bidexdata.synthesis.optimise_config import refuse_outside
 from bidexdata.synthesis.pose import Pose
 
 if TYPE_CHECKING:

@@ -7,6 +7,7 @@ import pytest
 from made_objects import ball_object, box_object
 
 from bidexdata.errors import BadConfig
+from bidexdata.record.fields import FIELDS
 from bidexdata.record.scene import Scene
 from bidexdata.synthesis.regions import RegionConfig, select_region_pairs
 from bidexdata.synthesis.regions_build import (
@@ -280,7 +281,28 @@ def test_an_empty_list_of_pairs_has_no_residuals_and_no_choice():
     assert diverse(regions.anchor_points, none, 0.1, 40).shape == (0,)
 
 
-@pytest.mark.parametrize("change", [{"anchors": 1}, {"radius": 0.0}, {"kept": 0}])
+IMPOSSIBLE = [
+    *({"anchors": 1}, {"anchors": 32_768}, {"radius": 0.0}, {"kept": 0}, {"wide": float("nan")}),
+    *({"same_side": -2.1}, {"table_fingertip": 0.2}, {"refined": -1}, {"sets": 0}),
+]
+
+
+@pytest.mark.parametrize("change", IMPOSSIBLE)
 def test_impossible_numbers_are_refused_by_name(change):
-    with pytest.raises(BadConfig, match=f"RegionConfig.{next(iter(change))}"):
+    with pytest.raises(BadConfig, match=f"RegionConfig.{next(iter(change))} must lie between"):
         RegionConfig(**change)
+
+
+def test_the_number_of_every_anchor_fits_the_records_column():
+    """A table may hide the first points, so that an anchor has a higher number than there are anchors."""
+    largest = np.iinfo(FIELDS["region_id"].dtype).max
+    assert RegionConfig(anchors=largest).anchors == largest
+    hidden, seen = largest - 60, 200
+    normals = np.random.default_rng(0).standard_normal((hidden + seen, 3)).astype(np.float32)
+    normals[:, 2] = np.abs(normals[:, 2]) + 1.0
+    normals[:hidden, 2] *= -1.0
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    ball = replace(BALL, surface_points=0.3 * normals, surface_normals=normals)
+    halved = np.array([0.0, 0.0, 1.0, 0.0])
+    regions = build_regions(ball, 0.4, CONFIG, np.random.default_rng(0), table=halved)
+    np.testing.assert_array_equal(regions.anchors, np.arange(hidden, largest + 1))

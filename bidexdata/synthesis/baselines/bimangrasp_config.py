@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import pi
 
+from bidexdata.config import refuse_outside
 from bidexdata.synthesis.baselines.kept import keep_everything
 from bidexdata.synthesis.opening import LEAST_CLOSING
-from bidexdata.synthesis.optimise_config import ClosureConfig, refuse_outside
+from bidexdata.synthesis.optimise_config import ClosureConfig
 from bidexdata.synthesis.selection import SelectionConfig
 from bidexdata.synthesis.staging import StagingConfig
 
