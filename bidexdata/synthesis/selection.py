@@ -83,6 +83,20 @@ class SelectionConfig:
         refuse_outside(self, "contacts_needed", 0, 100)
 
 
+KEEP_EVERYTHING = SelectionConfig(
+    candidates_per_grasp=1,
+    start_depth=1.0,
+    hands_depth=1.0,
+    table_depth=1.0,
+    clear_depth=1.0,
+    largest_residual=1e6,
+    apart=0.0,
+    contacts_needed=0,
+)
+"""The selection of methods that filter nothing without a simulator, the paper's among them: one
+attempt per grasp, and no limit by which one fails. Poses must be numbers."""
+
+
 def judge(
     finite: Bool[np.ndarray, " K"],
     gaps: Float[np.ndarray, "K 2 C"],

@@ -77,6 +77,10 @@ class StagingConfig:
                 )
 
 
+PLAIN_SQUEEZE = StagingConfig(extrapolate=1.0, base_lead=0.0, force_floor=0.0, force_per_weight=0.0)
+"""The squeeze 2 G - G_pre and nothing else, that of the paper and of its peers."""
+
+
 class Press(NamedTuple):
     """What the wanted contact forces ask of each hand."""
 
