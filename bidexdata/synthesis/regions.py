@@ -20,6 +20,7 @@ from bidexdata import frames
 from bidexdata.config import refuse_outside
 from bidexdata.objects.prepared import PreparedObject
 from bidexdata.record.scene import Scene
+from bidexdata.synthesis.optimise_config import ClosureConfig
 from bidexdata.synthesis.regions_build import (
     LAST_ANCHOR,
     accessible_anchors,
@@ -156,7 +157,12 @@ def no_pairs() -> RegionPairs:
 
 
 def select_region_pairs(
-    obj: PreparedObject, scene: Scene, config: RegionConfig, rng: np.random.Generator
+    obj: PreparedObject,
+    scene: Scene,
+    config: RegionConfig,
+    rng: np.random.Generator,
+    *,
+    closure: ClosureConfig | None = None,
 ) -> RegionPairs:
     """Choose the region pairs of one scene; empty when no two regions are allowed together.
 
@@ -165,11 +171,12 @@ def select_region_pairs(
         scene: Gives the size, the pose that decides what left means, and the table.
         config: Numbers and the score.
         rng: Draws contacts, random pairs and random sides.
+        closure: Gives the torque length of the torque score; the default one when omitted.
     """
     size = scene.size
     table = table_plane(scene) if scene.setting == "tabletop" else None
     regions = build_regions(obj, size, config, rng, table=table)
-    longest = float(np.ptp(obj.solid.vertices, axis=0).max()) * size
+    longest = obj.longest_side * size
     usable = accessible_anchors(obj, size, regions, config, table=table)
     allowed = PairFilter(regions, usable, config.gap, config.wide * longest)
 
@@ -178,7 +185,8 @@ def select_region_pairs(
     elif config.score == "force":
         pairs, score = force_order(regions, allowed, 8 * config.kept, config.force_friction)
     else:
-        pairs, score = torque_order(regions, allowed, config, longest, rng)
+        length = float((closure or ClosureConfig()).torque_lengths(np.array(longest)))
+        pairs, score = torque_order(regions, allowed, config, length, rng)
 
     keep = diverse(regions.anchor_points, pairs, config.diversity * longest, config.kept)
     pairs = _assign_sides(pairs[keep], regions.anchor_points, scene, config.sides, rng)
