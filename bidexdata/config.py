@@ -154,6 +154,24 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
     return merged
 
 
+def refuse_outside(owner: object, name: str, low: float | int, high: float | int) -> None:
+    """Refuse a field of a configuration that lies outside its range; for `__post_init__`.
+
+    Args:
+        owner: The configuration.
+        name: Of its field.
+        low: Least value that the field may have.
+        high: Largest.
+
+    Raises:
+        BadConfig: `owner.name` is below `low`, above `high`, or no number.
+    """
+    value = getattr(owner, name)
+    if not low <= value <= high:
+        where = type(owner).__name__
+        raise BadConfig(f"{where}.{name} must lie between {low:g} and {high:g}, not {value!r}")
+
+
 def _key(where: str, key: str) -> str:
     """Name a key of a level: `regions.anchors`, `file.yaml: anchors`, or `anchors` at the top."""
     if where.endswith(":"):

@@ -46,11 +46,6 @@ class DeviceHand:
         return self.arrays.sphere_radius
 
     @property
-    def contact_radius(self) -> wp.array:
-        """[m], (C,)."""
-        return self.arrays.contact_radius
-
-    @property
     def free(self) -> int:
         """Number of free variables D."""
         return self.hand.coupling.shape[1]
@@ -105,7 +100,6 @@ def device_hand(hand: Hand, device: str = "cpu") -> DeviceHand:
         "joint_ratio": (ratio, float),
         "contact_body": (hand.contact_body, int),
         "contact_pos": (hand.contact_pos, wp.vec3),
-        "contact_radius": (hand.contact_radius, float),
         "contact_normal": (hand.contact_normal, wp.vec3),
         "sphere_body": (hand.sphere_body, int),
         "sphere_pos": (hand.sphere_pos, wp.vec3),

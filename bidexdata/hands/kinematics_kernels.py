@@ -26,7 +26,6 @@ class HandArrays:
     """Joint angle per free variable, (J,)."""
     contact_body: wp.array(dtype=int)
     contact_pos: wp.array(dtype=wp.vec3)
-    contact_radius: wp.array(dtype=float)
     contact_normal: wp.array(dtype=wp.vec3)
     sphere_body: wp.array(dtype=int)
     sphere_pos: wp.array(dtype=wp.vec3)

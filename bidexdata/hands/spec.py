@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from bidexdata.config import fingerprint, from_plain, load_yaml
+from bidexdata.config import OMIT_NONE, fingerprint, from_plain, load_yaml
 from bidexdata.errors import BadConfig
 from bidexdata.hands.model import Part, Side
 
@@ -76,7 +76,7 @@ class SideSpec:
     """`menagerie:ROBOT/ENTRY`, `builtin:FILE` (beside the spec) or the path of an MJCF file."""
     prefix: str = ""
     """What this side's names carry before the names of the spec."""
-    palm_frame: PalmFrameSpec | None = field(default=None, metadata={"omit_none": True})
+    palm_frame: PalmFrameSpec | None = field(default=None, metadata=OMIT_NONE)
     """The palm frame of the side that the spec is not written for, where the two hand frames are
     no mirror images of each other; the mirror image is then taken from palm frame to palm frame."""
 
@@ -142,10 +142,10 @@ class HandSpec:
     exclude_contacts: tuple[tuple[str, str], ...] = ()
     """Pairs of bodies that never collide, besides those of the source."""
     spheres: SphereFitSpec = field(default_factory=SphereFitSpec)
-    mirror: Literal["x", "y", "z"] | None = field(default=None, metadata={"omit_none": True})
+    mirror: Literal["x", "y", "z"] | None = field(default=None, metadata=OMIT_NONE)
     """Axis of the hand frame that the other side's mirror image turns round: x where it is omitted.
     Without effect where that side gives its own palm frame."""
-    joint_armature: float | None = field(default=None, metadata={"omit_none": True})
+    joint_armature: float | None = field(default=None, metadata=OMIT_NONE)
     """Inertia that every joint gets, in place of the model's [kg m^2]: that of the motor's rotor,
     times the gear ratio squared. Without it fingers are so light that contacts throw light objects."""
 

@@ -5,9 +5,10 @@ shapes; a candidate's sphere is as large as its depth allows (plus `protrusion`)
 medial axis. A surface sample is covered when it lies inside a sphere or outside it by at most
 `slack` of the radius. The candidate that newly covers the most area is taken until none is worth
 a sphere. Parts thinner than the smallest sphere get smallest spheres, which stand out on both
-sides, after everything else. The spheres of the contact points come first, in their order, so
-sphere k < C is contact point k; bodies with a contact point get no protrusion, so that the pad
-touches first. Nothing is random: the same model gives the same spheres.
+sides, after everything else. The spheres of the fingertips' contact points come first, in their
+order, so sphere k < hand.fingertips is contact point k; bodies that carry one get no protrusion, so
+that the pad touches first. Other contact points have no spheres of their own. Nothing is random: the
+same model gives the same spheres.
 """
 
 from __future__ import annotations

@@ -106,3 +106,8 @@ class PreparedObject(Solid):
     surface_normals: NDArray[np.float32]
     """Outward unit normals at `surface_points`, (P, 3)."""
     sdf: SignedDistanceGrid
+
+    @property
+    def longest_side(self) -> float:
+        """Longest side of the bounding box at unit diagonal."""
+        return float(np.ptp(self.hull.vertices, axis=0).max())

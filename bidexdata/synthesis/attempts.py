@@ -109,7 +109,9 @@ def draw_attempts(
     # A region is judged by as many contacts as the hand that comes to it can make.
     fewest = min(hand.fingertips for hand in hands)
     regions = replace(config.regions, contacts=min(config.regions.contacts, fewest))
-    pairs = select_region_pairs(obj, scene, regions, np.random.default_rng([own, 0]))
+    pairs = select_region_pairs(
+        *(obj, scene, regions, np.random.default_rng([own, 0])), closure=config.optimise.closure
+    )
     if len(pairs.score) == 0:
         return _without_start(hands, scene, own, count, pairs)
     on_table = scene.setting == "tabletop"

@@ -85,7 +85,8 @@ def optimise(
         device: Warp device.
         watch: Looks on.
     """
-    ws = allocate(obj, hands, start, torque_lengths(obj, start.size, config.closure), device)
+    lengths = config.closure.torque_lengths(obj.longest_side * start.size)
+    ws = allocate(obj, hands, start, lengths, device)
     _approach(ws, config, watch)
     _settle(ws, config, "pregrasp", watch)
     pregrasp = read_pose(ws, hands)
@@ -117,14 +118,6 @@ def found_at(
         gaps=gaps,
         workspace=ws,
     )
-
-
-def torque_lengths(
-    obj: PreparedObject, size: Float[np.ndarray, " N"], closure: ClosureConfig
-) -> Float[np.ndarray, " N"]:
-    """Length that divides torques in the closure energy [m]."""
-    longest = float(np.max(np.ptp(obj.hull.vertices, axis=0)))
-    return np.maximum(closure.torque_length * longest * size, closure.least_torque_length)
 
 
 def _approach(ws: Workspace, config: OptimiseConfig, watch: Watch | None) -> None:

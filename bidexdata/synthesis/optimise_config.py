@@ -9,26 +9,21 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from bidexdata.errors import BadConfig
-from bidexdata.wrench.qp import LEAST_TORQUE_LENGTH, TORQUE_LENGTH, QPConfig
+import numpy as np
+from jaxtyping import Float
 
-Groups = Literal["decoupled", "coupled", "mix"]
+from bidexdata.config import refuse_outside
+from bidexdata.wrench.qp import QPConfig
+from bidexdata.wrench.qp_groups import Coupling
+
 Disturbances = Literal["forces", "zero"]
-
-
-def refuse_outside(owner: object, name: str, low: float | int, high: float | int) -> None:
-    """Raise `BadConfig` unless `owner.name` lies in [low, high]."""
-    value = getattr(owner, name)
-    if not low <= value <= high:
-        where = type(owner).__name__
-        raise BadConfig(f"{where}.{name} must lie between {low} and {high}, not {value!r}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClosureConfig:
     """The lower level: which contacts must balance which wrenches with which forces."""
 
-    groups: Groups = "mix"
+    groups: Coupling = "mix"
     """`decoupled`: each hand its own closure (paper 4.3); `coupled`: all contacts of both hands
     with each hand pressing; `mix`: both. Measurements, 3: equal within noise."""
     weight_decoupled: float = 10.0
@@ -47,10 +42,10 @@ class ClosureConfig:
     Measurements, 3: equal success within noise, and half the time of a step."""
     qp: QPConfig = field(default_factory=QPConfig)
     """The contact QP of all groups."""
-    torque_length: float = TORQUE_LENGTH
+    torque_length: float = 0.5
     """Length that makes torques comparable with forces, as a share of the object's longest side
-    [-]. Measurements, 4; BODex uses half the diagonal."""
-    least_torque_length: float = LEAST_TORQUE_LENGTH
+    [-]; in the torque score of regions too. Measurements, 4; BODex uses half the diagonal."""
+    least_torque_length: float = 0.1
     """Lower bound of that length [m]. Measurements, 4."""
     iterations: int = 4
     """Projected-gradient iterations per optimiser step, warm started [-]. Measurements, 3: within
@@ -67,6 +62,10 @@ class ClosureConfig:
         refuse_outside(self, "least_torque_length", 1e-3, 10.0)
         refuse_outside(self, "iterations", 1, 10_000)
         refuse_outside(self, "start_iterations", 0, 100_000)
+
+    def torque_lengths(self, longest: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """Length that divides torques [m], for longest sides of bounding boxes [m]."""
+        return np.asarray(np.maximum(self.torque_length * longest, self.least_torque_length))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from bidexdata import frames
+from bidexdata.config import refuse_outside
 from bidexdata.errors import BadConfig
 from bidexdata.hands.contact_sets import ContactSet
 from bidexdata.hands.model import Hand
@@ -99,24 +100,14 @@ class PlacementConfig:
             sets = getattr(self, name)
             if not sets or len(set(sets)) != len(sets):
                 raise BadConfig(f"PlacementConfig.{name} must name contact sets, each once")
-        ranges = {
-            "pairs": (1, 100_000),
-            "standoff": (0.0, 1.0),
-            "clearance": (0.0, 1.0),
-            "roll": (0.0, pi),
-            "table_roll": (0.0, pi),
-            "table_raise": (0.0, 1.0),
-            "tilt": (0.0, pi / 4),
-            "shift": (0.0, 1.0),
-            "flat": (0.0, 2.0),
-            "draws": (1, 1000),
-        }
-        for name, (low, high) in ranges.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise BadConfig(
-                    f"PlacementConfig.{name} must lie between {low:g} and {high:g}, not {value!r}"
-                )
+        refuse_outside(self, "pairs", 1, 100_000)
+        for name in ("standoff", "clearance", "table_raise", "shift"):
+            refuse_outside(self, name, 0.0, 1.0)
+        for name in ("roll", "table_roll"):
+            refuse_outside(self, name, 0.0, pi)
+        refuse_outside(self, "tilt", 0.0, pi / 4)
+        refuse_outside(self, "flat", 0.0, 2.0)
+        refuse_outside(self, "draws", 1, 1000)
         for name in ("left_direction", "right_direction"):
             if not np.linalg.norm(getattr(self, name)) > 0:
                 raise BadConfig(f"PlacementConfig.{name} must not be the zero vector")
@@ -181,12 +172,11 @@ def place_palms(
     shapes = [start_shapes(hand, config.over) for hand in hands]
 
     pos, quat = np.zeros((count, 2, 3)), np.zeros((count, 2, 4))
-    spheres: list[list[np.ndarray]] = [[], []]
     ok, above = np.zeros(count, bool), np.ones(count, bool)
     on_table, plane = scene.setting == "tabletop", table_plane(scene)
     todo = np.arange(count)
     for draw in range(config.draws):
-        spheres = [[], []]
+        spheres: list[list[np.ndarray]] = [[], []]
         place = min(draw, places.shape[1] - 1)
         free = np.ones(len(todo), bool)
         for h in range(2):

@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 from bidexdata.config import from_plain, merge, to_plain
 from bidexdata.errors import UnknownName
 from bidexdata.synthesis.config import SynthConfig
+from bidexdata.synthesis.selection import KEEP_EVERYTHING
+from bidexdata.synthesis.staging import PLAIN_SQUEEZE
 
 
 class Change(NamedTuple):
@@ -38,6 +40,11 @@ class Kept(NamedTuple):
     key: str
     """Dotted; a part of the configuration stands for all its fields."""
     source: str
+
+
+def _changes_to(part: str, config: Any, **reasons: str) -> tuple[Change, ...]:
+    """Changes of a part of the configuration to the values of another, with a reason each."""
+    return tuple(Change(f"{part}.{n}", getattr(config, n), why) for n, why in reasons.items())
 
 
 _PAPER = (
@@ -89,18 +96,24 @@ _PAPER = (
         "4.3: contact points reach the surface; 2 mm as BODex",
     ),
     Change("optimise.energy.pad", 0.0, "the paper has no such term"),
-    Change("staging.extrapolate", 1.0, "4.4: 2 G - G_pre, base included; BODex moves joints alone"),
-    Change("staging.base_lead", 0.0, "4.4: the squeeze knows no weld"),
-    Change("staging.force_floor", 0.0, "4.4: the squeeze is 2 G - G_pre and nothing else"),
-    Change("staging.force_per_weight", 0.0, "4.4: the squeeze knows no weight"),
-    Change("selection.candidates_per_grasp", 1, "the paper keeps what it makes"),
-    Change("selection.start_depth", 1.0, "no attempt is dropped before the simulation"),
-    Change("selection.hands_depth", 1.0, "no attempt is dropped before the simulation"),
-    Change("selection.table_depth", 1.0, "no attempt is dropped before the simulation"),
-    Change("selection.clear_depth", 1.0, "no attempt is preferred for its depth"),
-    Change("selection.largest_residual", 1e6, "no attempt is dropped before the simulation"),
-    Change("selection.apart", 0.0, "no attempt is preferred for being unlike others"),
-    Change("selection.contacts_needed", 0, "no attempt is dropped before the simulation"),
+    *_changes_to(
+        *("staging", PLAIN_SQUEEZE),
+        extrapolate="4.4: 2 G - G_pre, base included; BODex moves joints alone",
+        base_lead="4.4: the squeeze knows no weld",
+        force_floor="4.4: the squeeze is 2 G - G_pre and nothing else",
+        force_per_weight="4.4: the squeeze knows no weight",
+    ),
+    *_changes_to(
+        *("selection", KEEP_EVERYTHING),
+        candidates_per_grasp="the paper keeps what it makes",
+        start_depth="no attempt is dropped before the simulation",
+        hands_depth="no attempt is dropped before the simulation",
+        table_depth="no attempt is dropped before the simulation",
+        clear_depth="no attempt is preferred for its depth",
+        largest_residual="no attempt is dropped before the simulation",
+        apart="no attempt is preferred for being unlike others",
+        contacts_needed="no attempt is dropped before the simulation",
+    ),
 )
 
 PAPER_GIVEN = (

@@ -17,10 +17,16 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bidexdata import frames
-from bidexdata.errors import BadConfig
+from bidexdata.config import refuse_outside
 from bidexdata.objects.prepared import PreparedObject
 from bidexdata.record.scene import Scene
-from bidexdata.synthesis.regions_build import accessible_anchors, build_regions, flatness
+from bidexdata.synthesis.optimise_config import ClosureConfig
+from bidexdata.synthesis.regions_build import (
+    LAST_ANCHOR,
+    accessible_anchors,
+    build_regions,
+    flatness,
+)
 from bidexdata.synthesis.regions_gap import PairFilter
 from bidexdata.synthesis.regions_rank import diverse, force_order, random_order, torque_order
 from bidexdata.synthesis.table import table_plane
@@ -98,33 +104,23 @@ class RegionConfig:
     table, by lot when floating, where no arm crosses. Measurements, 15."""
 
     def __post_init__(self) -> None:
-        ranges = {
-            "anchors": (2, 100_000),
-            "radius": (1e-3, 1.0),
-            "points": (1, 100_000),
-            "contacts": (1, 64),
-            "same_side": (-2.0, 1.0),
-            "gap": (0.0, 1.0),
-            "wide": (0.0, 10.0),
-            "depth": (0.0, 10.0),
-            "facing": (-2.0, 1.0),
-            "least_accessible": (2, 100_000),
-            "table_reach": (0.0, 1.0),
-            "table_fingertip": (0.0, 0.1),
-            "force_friction": (0.0, 10.0),
-            "reranked": (1, 10_000_000),
-            "sets": (1, 1000),
-            "refined": (0, 10_000_000),
-            "iterations": (0, 100_000),
-            "diversity": (0.0, 10.0),
-            "kept": (1, 100_000),
-        }
-        for name, (low, high) in ranges.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise BadConfig(
-                    f"RegionConfig.{name} must lie between {low:g} and {high:g}, not {value!r}"
-                )
+        refuse_outside(self, "anchors", 2, LAST_ANCHOR)
+        refuse_outside(self, "radius", 1e-3, 1.0)
+        refuse_outside(self, "contacts", 1, 64)
+        for name in ("points", "kept"):
+            refuse_outside(self, name, 1, 100_000)
+        for name in ("same_side", "facing"):
+            refuse_outside(self, name, -2.0, 1.0)
+        for name in ("gap", "table_reach"):
+            refuse_outside(self, name, 0.0, 1.0)
+        for name in ("wide", "depth", "force_friction", "diversity"):
+            refuse_outside(self, name, 0.0, 10.0)
+        refuse_outside(self, "table_fingertip", 0.0, 0.1)
+        refuse_outside(self, "least_accessible", 2, 100_000)
+        refuse_outside(self, "reranked", 1, 10_000_000)
+        refuse_outside(self, "refined", 0, 10_000_000)
+        refuse_outside(self, "sets", 1, 1000)
+        refuse_outside(self, "iterations", 0, 100_000)
 
 
 class RegionPairs(NamedTuple):
@@ -161,7 +157,12 @@ def no_pairs() -> RegionPairs:
 
 
 def select_region_pairs(
-    obj: PreparedObject, scene: Scene, config: RegionConfig, rng: np.random.Generator
+    obj: PreparedObject,
+    scene: Scene,
+    config: RegionConfig,
+    rng: np.random.Generator,
+    *,
+    closure: ClosureConfig | None = None,
 ) -> RegionPairs:
     """Choose the region pairs of one scene; empty when no two regions are allowed together.
 
@@ -170,11 +171,12 @@ def select_region_pairs(
         scene: Gives the size, the pose that decides what left means, and the table.
         config: Numbers and the score.
         rng: Draws contacts, random pairs and random sides.
+        closure: Gives the torque length of the torque score; the default one when omitted.
     """
     size = scene.size
     table = table_plane(scene) if scene.setting == "tabletop" else None
     regions = build_regions(obj, size, config, rng, table=table)
-    longest = float(np.ptp(obj.solid.vertices, axis=0).max()) * size
+    longest = obj.longest_side * size
     usable = accessible_anchors(obj, size, regions, config, table=table)
     allowed = PairFilter(regions, usable, config.gap, config.wide * longest)
 
@@ -183,7 +185,8 @@ def select_region_pairs(
     elif config.score == "force":
         pairs, score = force_order(regions, allowed, 8 * config.kept, config.force_friction)
     else:
-        pairs, score = torque_order(regions, allowed, config, longest, rng)
+        length = float((closure or ClosureConfig()).torque_lengths(np.array(longest)))
+        pairs, score = torque_order(regions, allowed, config, length, rng)
 
     keep = diverse(regions.anchor_points, pairs, config.diversity * longest, config.kept)
     pairs = _assign_sides(pairs[keep], regions.anchor_points, scene, config.sides, rng)

@@ -14,6 +14,9 @@ from bidexdata.synthesis.table import reachable_regions, touchable_points
 if TYPE_CHECKING:
     from bidexdata.synthesis.regions import RegionConfig
 
+LAST_ANCHOR = np.iinfo(np.int16).max
+"""Highest number that an anchor may have among the surface points: `region_id` is int16."""
+
 
 class Regions(NamedTuple):
     """A regions of k points each, object frame, metric; normals point out."""
@@ -66,7 +69,7 @@ def build_regions(
     if table is not None:
         number = number[touchable_points(points, normals, table, config.table_fingertip)]
         points, normals = points[number], normals[number]
-    count = min(config.anchors, len(points))
+    count = min(config.anchors, int(np.searchsorted(number, LAST_ANCHOR, side="right")))
     index, filled = _members(points, normals, count, config)
     members, member_normals = (np.take(values, index, axis=0) for values in (points, normals))
     mean = member_normals.mean(axis=1, dtype=np.float64)

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from bidexdata.synthesis.regions_build import Regions
 from bidexdata.synthesis.regions_gap import PairFilter
-from bidexdata.wrench.qp import LEAST_TORQUE_LENGTH, TORQUE_LENGTH, contact_qp
+from bidexdata.wrench.qp import contact_qp
 from bidexdata.wrench.qp_groups import axis_targets, zero_target
 from bidexdata.wrench.support import AXES, force_support
 
@@ -43,7 +43,7 @@ def torque_order(
     regions: Regions,
     allowed: PairFilter,
     config: RegionConfig,
-    longest: float,
+    torque_length: float,
     rng: np.random.Generator,
 ) -> Ranking:
     """Rank the best pairs by force, and as many random ones, by minus the coupled QP residual.
@@ -54,7 +54,7 @@ def torque_order(
         regions: All regions.
         allowed: The pairs to choose from.
         config: Numbers of pairs, QP and friction.
-        longest: Longest side of the object's bounding box [m].
+        torque_length: Length that makes torques comparable with forces [m].
         rng: Draws the random pairs.
     """
     force = force_scores(regions, allowed.pairs, config.force_friction)
@@ -62,12 +62,13 @@ def torque_order(
     lot = rng.permutation(len(allowed.pairs))
     rest = allowed.first(lot[~np.isin(lot, best)], config.reranked)
     pairs = allowed.pairs[np.concatenate([best, rest])]
-    first = balance_residuals(regions, pairs, config, longest, slice(1))
+    first = balance_residuals(regions, pairs, config, torque_length, slice(1))
     order = np.argsort(first, kind="stable")
     pairs, residual = pairs[order], first[order]
     refined = np.arange(len(pairs)) < config.refined
     if config.sets > 1:
-        more = balance_residuals(regions, pairs[refined], config, longest, slice(1, None))
+        others = slice(1, None)
+        more = balance_residuals(regions, pairs[refined], config, torque_length, others)
         residual[refined] += (config.sets - 1) * more
         residual[refined] /= config.sets
     order = np.lexsort((residual, ~refined))
@@ -90,7 +91,7 @@ def balance_residuals(
     regions: Regions,
     pairs: Int[np.ndarray, "n 2"],
     config: RegionConfig,
-    longest: float,
+    torque_length: float,
     which: slice = slice(None),
 ) -> Float[np.ndarray, " n"]:
     """Give the coupled QP's residual, both hands pressing: squared, mean over sets of contacts.
@@ -99,7 +100,7 @@ def balance_residuals(
         regions: Give the contacts.
         pairs: Of regions.
         config: QP, iterations and disturbances.
-        longest: Longest side of the object's bounding box [m].
+        torque_length: Length that makes torques comparable with forces [m].
         which: Sets of contacts to take.
     """
     sets = len(range(regions.contact_points.shape[1])[which])
@@ -113,7 +114,7 @@ def balance_residuals(
     solution = contact_qp(
         both_hands(regions.contact_points),
         -both_hands(regions.contact_normals),
-        np.full(len(pairs) * sets, torque_length(longest), np.float32),
+        np.full(len(pairs) * sets, torque_length, np.float32),
         config.qp,
         coupling="coupled",
         targets=axis_targets() if config.disturbances == "forces" else zero_target(),
@@ -121,11 +122,6 @@ def balance_residuals(
     )
     residual = solution.residual.astype(np.float64).sum(axis=(1, 2))
     return residual.reshape(len(pairs), sets).mean(axis=1)
-
-
-def torque_length(longest: float) -> float:
-    """Length that makes torques comparable with forces [m], for the longest side of the box."""
-    return max(TORQUE_LENGTH * longest, LEAST_TORQUE_LENGTH)
 
 
 def diverse(

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
+from bidexdata.config import refuse_outside
 from bidexdata.record import Status
-from bidexdata.synthesis.optimise_config import refuse_outside
 from bidexdata.synthesis.settling import Settled, SettlingConfig
 
 LEAST_RESIDUAL, LEAST_TURN = 1e-7, 1e-3
@@ -81,6 +81,20 @@ class SelectionConfig:
         for name in ("residual_iterations", "shifted_iterations"):
             refuse_outside(self, name, 1, 100_000)
         refuse_outside(self, "contacts_needed", 0, 100)
+
+
+KEEP_EVERYTHING = SelectionConfig(
+    candidates_per_grasp=1,
+    start_depth=1.0,
+    hands_depth=1.0,
+    table_depth=1.0,
+    clear_depth=1.0,
+    largest_residual=1e6,
+    apart=0.0,
+    contacts_needed=0,
+)
+"""The selection of methods that filter nothing without a simulator, the paper's among them: one
+attempt per grasp, and no limit by which one fails. Poses must be numbers."""
 
 
 def judge(

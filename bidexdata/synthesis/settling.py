@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from bidexdata.config import refuse_outside
 from bidexdata.hands.kinematics import hand_points
-from bidexdata.synthesis.optimise_config import refuse_outside
 from bidexdata.synthesis.pose import Pose
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bidexdata.config import OMIT_NONE
+from bidexdata.config import OMIT_NONE, refuse_outside
 from bidexdata.errors import BadConfig
 from bidexdata.frames import (
     quat_conjugate,
@@ -18,7 +18,6 @@ from bidexdata.frames import (
     rotation_vector_from_quat,
 )
 from bidexdata.synthesis.forces import BaseGive
-from bidexdata.synthesis.optimise_config import refuse_outside
 from bidexdata.synthesis.pose import Pose
 
 if TYPE_CHECKING:
@@ -76,6 +75,10 @@ class StagingConfig:
                     "StagingConfig.opened must be a way from 0 to 0.1 m and an angle from 0 to 1 rad, "
                     f"not {list(self.opened)!r}"
                 )
+
+
+PLAIN_SQUEEZE = StagingConfig(extrapolate=1.0, base_lead=0.0, force_floor=0.0, force_per_weight=0.0)
+"""The squeeze 2 G - G_pre and nothing else, that of the paper and of its peers."""
 
 
 class Press(NamedTuple):

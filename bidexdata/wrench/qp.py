@@ -26,13 +26,6 @@ if TYPE_CHECKING:
     import warp as wp
 
 
-TORQUE_LENGTH = 0.5
-"""Length that makes torques comparable with forces, as a share of the object's longest side [-].
-docs/measurements.md, 4; BODex takes half the box diagonal."""
-LEAST_TORQUE_LENGTH = 0.1
-"""Lower bound of that length [m]. docs/measurements.md, 4."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QPConfig:
     """Constants of the contact QP; forces are in units of the cap."""

@@ -13,6 +13,7 @@ import yaml
 
 from bidexdata.errors import BadConfig, NotUsable, PathNotFound, UnknownKey, UnknownName
 from bidexdata.hands import hand_names, load_hand, load_hands, registry
+from bidexdata.hands.meshes import visual_meshes
 from bidexdata.hands.source import load_model
 from bidexdata.hands.urdf import hand_urdf
 
@@ -115,14 +116,15 @@ def test_spec_hash_ignores_comments_and_sees_values(tmp_path):
     assert load_hand(changed, "right").spec_hash != original.spec_hash
 
 
-def test_a_users_spec_may_name_an_mjcf_file(tmp_path):
-    (tmp_path / "hand.xml").write_text(
-        """<mujoco><worldbody><body name="arm"><joint name="elbow" range="-1 1" axis="0 1 0"/>
-        <geom size="0.02"/><body name="palm" pos="0 0 0.1" euler="0 30 0">
-        <joint name="wrist" range="-1 1"/><geom type="box" size=".03 .01 .03"/>
+def one_finger(folder, *, head="", palm="", tail="", sphere=""):
+    """Write a spec with a model of one finger on a palm on an arm; return the spec's path."""
+    (folder / "hand.xml").write_text(
+        f"""<mujoco>{head}<worldbody><body name="arm"><joint name="elbow" range="-1 1" axis="0 1 0"/>
+        <geom size="0.02" {sphere}/><body name="palm" pos="0 0 0.1" euler="0 30 0">
+        <joint name="wrist" range="-1 1"/><geom type="box" size=".03 .01 .03"/>{palm}
         <body name="tip" pos="0 0 .03"><joint name="bend" range="0 90" axis="1 0 0"/>
         <geom type="capsule" fromto="0 0 .01 0 0 .04" size=".008"/></body></body></body></worldbody>
-        <actuator><position joint="wrist"/><position name="b" joint="bend" kp="2"/></actuator>
+        <actuator><position joint="wrist"/><position name="b" joint="bend" kp="2"/></actuator>{tail}
         </mujoco>"""
     )
     spec = {
@@ -133,8 +135,13 @@ def test_a_users_spec_may_name_an_mjcf_file(tmp_path):
                       "radius": 0.008, "normal": [0, -1, 0]}],
         "palm_frame": {"pos": [0, -0.01, 0], "x": [0, 0, 1], "z": [0, -1, 0]},
     }  # fmt: skip
-    path = tmp_path / "finger.yaml"
+    path = folder / "finger.yaml"
     path.write_text(yaml.safe_dump(spec))
+    return path
+
+
+def test_a_users_spec_may_name_an_mjcf_file(tmp_path):
+    path = one_finger(tmp_path)
     hand = load_hand(path, "right")
     assert hand.body_names == ("palm", "tip")
     assert hand.joint_names == ("bend",)
@@ -142,6 +149,63 @@ def test_a_users_spec_may_name_an_mjcf_file(tmp_path):
     assert hand.joint_upper[0] == pytest.approx(np.pi / 2, abs=1e-5)  # MJCF text has six digits
     with pytest.raises(BadConfig, match="no left side"):
         load_hand(path, "left")
+
+
+MESH = '<asset><mesh name="plate" file="sub/plate.stl"/></asset>'
+
+
+@pytest.mark.parametrize(
+    ("parts", "says"),
+    [
+        ({"head": MESH}, r"hand\.xml: mesh 'plate' names the file .*plate\.stl, which cannot be read"),
+        ({"palm": '<geom type="mesh" mesh="plate"/>'}, "plate"),
+        ({"palm": '<body name="bone"><joint name="loose" range="0 1"/></body>'}, "refuses the hand .*mass"),
+        ({"palm": '<geom type="ellipsoid" size=".1 .1 .2"/>'}, "'palm' .*ellipsoid"),
+        ({"head": "<bones/>"}, "cannot read this model .*bones"),
+    ],
+)  # fmt: skip
+def test_a_model_that_mujoco_refuses_is_one_sentence_with_file_and_key(tmp_path, parts, says):
+    with pytest.raises(BadConfig, match=says) as caught:
+        load_hand(one_finger(tmp_path, **parts), "right")
+    assert "\n" not in str(caught.value)
+    if "ellipsoid" not in says:
+        assert str(caught.value).startswith(f"sides.right.source: {tmp_path / 'hand.xml'}: ")
+
+
+def test_a_mesh_may_lie_in_a_folder_of_the_meshes(tmp_path):
+    (tmp_path / "meshes" / "sub").mkdir(parents=True)
+    corners = np.array([[0, 0, 0], [0.02, 0, 0], [0, 0.02, 0], [0, 0, 0.02]], np.float32)
+    faces = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]
+    record = np.zeros(4, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
+    record["corners"] = faces
+    stl = bytes(80) + np.uint32(4).tobytes() + record.tobytes()
+    (tmp_path / "meshes" / "sub" / "plate.stl").write_bytes(stl)
+    head = '<compiler meshdir="meshes"/>' + MESH
+    hand = load_hand(
+        one_finger(tmp_path, head=head, palm='<geom type="mesh" mesh="plate"/>'), "right"
+    )
+    assert hand.make_spec().compile().nmesh == 1
+
+
+def test_what_is_only_looked_at_need_not_be_there(tmp_path):
+    """Textures, also where defaults name them, skins, and the height field of the world."""
+    head = """<default><material texture="skin"/></default><asset>
+    <texture name="skin" type="2d" file="gone.png" gridsize="1 1"/>
+    <texture name="cube" type="cube" fileleft="left.png" fileright="right.png"/>
+    <hfield name="ground" file="ground.png" size="1 1 1 1"/>
+    <material name="red" rgba="1 0 0 1"/><material name="cubes" texture="cube" rgba="0 1 0 1"/></asset>"""
+    hand = load_hand(
+        one_finger(
+            tmp_path,
+            head=head,
+            palm='<geom size=".01" material="red"/><geom size=".01" material="cubes"/>',
+            tail='<deformable><skin name="glove" file="gone.skn"/></deformable>',
+            sphere='type="hfield" hfield="ground"',
+        ),
+        "right",
+    )
+    colours = {mesh.rgba for mesh in visual_meshes(hand)}
+    assert {(1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)} <= colours
 
 
 @pytest.mark.parametrize(

@@ -114,6 +114,19 @@ def test_a_model_that_is_not_there_fails_first_and_nothing_else_is_made(tmp_path
     assert err.count("\n") == 1
 
 
+def test_a_mesh_that_is_not_there_fails_the_check_of_the_model(tmp_path, capsys):
+    (tmp_path / "bare.xml").write_text(
+        '<mujoco><asset><mesh name="plate" file="plate.stl"/></asset><worldbody><body name="rh_palm">'
+        '<geom type="mesh" mesh="plate"/></body></worldbody></mujoco>'
+    )
+    spec = changed(tmp_path, sides={"right": {"source": "bare.xml", "prefix": "rh_"}})
+    assert run(["hands", "check", spec, "--out", str(tmp_path / "hand.png"), "--json"]) == 3
+    first = json.loads(capsys.readouterr().out)["checks"][0]
+    assert (first["check"], first["passed"]) == ("model", False)
+    assert "mesh 'plate' names the file" in first["says"]
+    assert "sides.right.source" in first["says"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

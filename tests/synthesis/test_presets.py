@@ -14,6 +14,7 @@ from bidexdata.hands import load_hands
 from bidexdata.record import Scene
 from bidexdata.synthesis.attempts import draw_attempts
 from bidexdata.synthesis.config import SynthConfig
+from bidexdata.synthesis.methods import load_method
 from bidexdata.synthesis.optimise_config import ClosureConfig
 from bidexdata.synthesis.presets import (
     PAPER_GIVEN,
@@ -69,6 +70,13 @@ def test_the_paper_preset_has_the_papers_numbers():
     assert config.optimise.pregrasp.distance == 0.01
     assert config.staging.extrapolate == 1
     assert config.staging.force_floor == config.staging.force_per_weight == 0
+
+
+@pytest.mark.parametrize("method", ["bodex", "bimangrasp"])
+def test_the_baselines_filter_and_squeeze_as_the_paper_does(method):
+    theirs, papers = load_method(method).config(), load_preset("paper")
+    assert theirs.selection == papers.selection
+    assert theirs.staging == papers.staging
 
 
 def leaves(config, prefix=""):

@@ -7,7 +7,12 @@ import pytest
 from made_objects import ball_object, box_object
 
 from bidexdata.errors import BadConfig
+from bidexdata.hands import load_hands
+from bidexdata.record.fields import FIELDS
 from bidexdata.record.scene import Scene
+from bidexdata.synthesis.attempts import draw_attempts
+from bidexdata.synthesis.config import SynthConfig
+from bidexdata.synthesis.optimise_config import ClosureConfig, OptimiseConfig
 from bidexdata.synthesis.regions import RegionConfig, select_region_pairs
 from bidexdata.synthesis.regions_build import (
     Regions,
@@ -173,9 +178,9 @@ def test_the_torque_ranking_starts_with_pairs_that_balance():
     by_lot = RegionConfig(score="random")
     lot = select_region_pairs(BOX, scene(500), by_lot, np.random.default_rng(0))
     regions = regions_of(BOX, 0.5, seed=9)  # other contacts than those that were ranked
-    longest = 0.5 * np.ptp(BOX.solid.vertices, axis=0).max()
-    ranked = balance_residuals(regions, r.anchors[:10], CONFIG, longest)
-    drawn = balance_residuals(regions, lot.anchors, CONFIG, longest)
+    length = 0.5 * 0.5 * np.ptp(BOX.solid.vertices, axis=0).max()
+    ranked = balance_residuals(regions, r.anchors[:10], CONFIG, length)
+    drawn = balance_residuals(regions, lot.anchors, CONFIG, length)
     assert np.median(ranked) < 0.1 * np.median(drawn)
     assert np.all(r.score <= 0)
 
@@ -185,15 +190,30 @@ def test_the_first_pairs_are_ranked_by_all_draws_and_the_others_come_after_them(
     regions = regions_of(BOX, 0.5, config)
     usable = accessible_anchors(BOX, 0.5, regions, config)
     allowed = PairFilter(regions, usable, config.gap, 1.0)
-    pairs, score = torque_order(regions, allowed, config, 0.3, np.random.default_rng(0))
+    pairs, score = torque_order(regions, allowed, config, 0.15, np.random.default_rng(0))
     first, rest = pairs[: config.refined], pairs[config.refined :]
-    every = balance_residuals(regions, first, config, 0.3)
+    every = balance_residuals(regions, first, config, 0.15)
     np.testing.assert_allclose(-score[: config.refined], every, rtol=1e-4, atol=1e-9)
-    one = balance_residuals(regions, rest, config, 0.3, slice(1))
+    one = balance_residuals(regions, rest, config, 0.15, slice(1))
     np.testing.assert_allclose(-score[config.refined :], one, rtol=1e-4, atol=1e-9)
     assert np.all(np.diff(score[: config.refined]) <= 0)
     assert np.all(np.diff(score[config.refined :]) <= 0)
-    assert balance_residuals(regions, first, config, 0.3, slice(1)).max() <= one.min() + 1e-6
+    assert balance_residuals(regions, first, config, 0.15, slice(1)).max() <= one.min() + 1e-6
+
+
+def test_regions_and_closure_divide_torques_by_one_length():
+    lengths = ClosureConfig().torque_lengths(np.array([0.06, 0.2, 0.5]))
+    np.testing.assert_array_equal(lengths, [0.1, 0.1, 0.25])
+    assert BOX.longest_side == np.ptp(BOX.solid.vertices, axis=0).max()
+    tall = SynthConfig(optimise=OptimiseConfig(closure=ClosureConfig(torque_length=3.0)))
+    hands, where = load_hands("capsule"), scene(400)
+    by_default, by_tall = (draw_attempts(BOX, hands, where, c, 0, 1) for c in (SynthConfig(), tall))
+    assert not np.array_equal(by_tall.pairs.score, by_default.pairs.score)
+    rng = (np.random.default_rng([by_tall.seed, 0]) for _ in range(2))
+    same = select_region_pairs(BOX, where, CONFIG, next(rng), closure=tall.optimise.closure)
+    np.testing.assert_array_equal(same.score, by_tall.pairs.score)
+    other = select_region_pairs(BOX, where, CONFIG, next(rng))
+    np.testing.assert_array_equal(other.score, by_default.pairs.score)
 
 
 def test_pairs_come_out_the_same_for_the_same_seed():
@@ -269,18 +289,39 @@ def test_the_torque_ranking_prefers_facing_regions_which_the_force_score_cannot_
     pairs = np.array([[0, 1], [0, 2]])
     force = force_scores(regions, pairs, CONFIG.force_friction)
     assert force[0] == pytest.approx(force[1])
-    residual = balance_residuals(regions, pairs, CONFIG, 0.4)
+    residual = balance_residuals(regions, pairs, CONFIG, 0.2)
     assert residual[0] < 0.01 < residual[1]
 
 
 def test_an_empty_list_of_pairs_has_no_residuals_and_no_choice():
     regions = facing_regions(shift=0.1)
     none = np.zeros((0, 2), np.int64)
-    assert balance_residuals(regions, none, CONFIG, 0.4).shape == (0,)
+    assert balance_residuals(regions, none, CONFIG, 0.2).shape == (0,)
     assert diverse(regions.anchor_points, none, 0.1, 40).shape == (0,)
 
 
-@pytest.mark.parametrize("change", [{"anchors": 1}, {"radius": 0.0}, {"kept": 0}])
+IMPOSSIBLE = [
+    *({"anchors": 1}, {"anchors": 32_768}, {"radius": 0.0}, {"kept": 0}, {"wide": float("nan")}),
+    *({"same_side": -2.1}, {"table_fingertip": 0.2}, {"refined": -1}, {"sets": 0}),
+]
+
+
+@pytest.mark.parametrize("change", IMPOSSIBLE)
 def test_impossible_numbers_are_refused_by_name(change):
-    with pytest.raises(BadConfig, match=f"RegionConfig.{next(iter(change))}"):
+    with pytest.raises(BadConfig, match=f"RegionConfig.{next(iter(change))} must lie between"):
         RegionConfig(**change)
+
+
+def test_the_number_of_every_anchor_fits_the_records_column():
+    """A table may hide the first points, so that an anchor has a higher number than there are anchors."""
+    largest = np.iinfo(FIELDS["region_id"].dtype).max
+    assert RegionConfig(anchors=largest).anchors == largest
+    hidden, seen = largest - 60, 200
+    normals = np.random.default_rng(0).standard_normal((hidden + seen, 3)).astype(np.float32)
+    normals[:, 2] = np.abs(normals[:, 2]) + 1.0
+    normals[:hidden, 2] *= -1.0
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    ball = replace(BALL, surface_points=0.3 * normals, surface_normals=normals)
+    halved = np.array([0.0, 0.0, 1.0, 0.0])
+    regions = build_regions(ball, 0.4, CONFIG, np.random.default_rng(0), table=halved)
+    np.testing.assert_array_equal(regions.anchors, np.arange(hidden, largest + 1))

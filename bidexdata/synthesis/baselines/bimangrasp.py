@@ -23,7 +23,7 @@ from bidexdata.synthesis.baselines.candidates import (
     with_contacts,
 )
 from bidexdata.synthesis.opening import opened
-from bidexdata.synthesis.optimise import Optimised, found_at, read_pose, torque_lengths
+from bidexdata.synthesis.optimise import Optimised, found_at, read_pose
 from bidexdata.synthesis.optimise_config import EnergyConfig, OptimiseConfig
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.staging import Press, squeeze
@@ -74,7 +74,7 @@ def prepared(
     body = surface_points(hands[1], config.energy.hand_points)
     touching = (
         with_contacts(hands[0], on_hands[0]),
-        with_contacts(hands[1], joined(on_hands[1], body)),
+        with_contacts(hands[1], joined([on_hands[1], body])),
     )
     ws = allocate(obj, touching, start, np.ones(len(start.size)), device)
     points = obj.surface_points[: config.energy.object_points]
@@ -111,7 +111,7 @@ def _recorded(
 ) -> Optimised:
     """Contacts and energies of the fingertips at the grasp, as every method's rows have them."""
     closure = config.closure
-    lengths = torque_lengths(obj, start.size, closure)
+    lengths = closure.torque_lengths(obj.longest_side * start.size)
     ended = Start(
         size=start.size,
         position=grasp.position,

@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import pi
 
-from bidexdata.synthesis.baselines.kept import keep_everything
+from bidexdata.config import refuse_outside
 from bidexdata.synthesis.opening import LEAST_CLOSING
-from bidexdata.synthesis.optimise_config import ClosureConfig, refuse_outside
-from bidexdata.synthesis.selection import SelectionConfig
-from bidexdata.synthesis.staging import StagingConfig
+from bidexdata.synthesis.optimise_config import ClosureConfig
+from bidexdata.synthesis.selection import KEEP_EVERYTHING, SelectionConfig
+from bidexdata.synthesis.staging import PLAIN_SQUEEZE, StagingConfig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,10 +149,6 @@ class BimanGraspStagingConfig:
         refuse_outside(self, "least_closing", 0.0, 1.0)
 
 
-def _staging() -> StagingConfig:
-    return StagingConfig(extrapolate=1.0, base_lead=0.0, force_floor=0.0, force_per_weight=0.0)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BimanGraspConfig:
     """The baseline `bimangrasp`: contacts anywhere on the fingers, found by annealing."""
@@ -161,9 +157,9 @@ class BimanGraspConfig:
     energy: BimanGraspEnergyConfig = field(default_factory=BimanGraspEnergyConfig)
     annealing: AnnealingConfig = field(default_factory=AnnealingConfig)
     stages: BimanGraspStagingConfig = field(default_factory=BimanGraspStagingConfig)
-    staging: StagingConfig = field(default_factory=_staging)
+    staging: StagingConfig = PLAIN_SQUEEZE
     """The squeeze 2 G - G_pre, without joint torques. Paper: palm and joints alone."""
-    selection: SelectionConfig = field(default_factory=keep_everything)
+    selection: SelectionConfig = KEEP_EVERYTHING
     """Every attempt is kept: BimanGrasp has thresholds for its log, and filters by simulation."""
 
     @property

@@ -16,7 +16,7 @@ from jaxtyping import Int
 
 from bidexdata.synthesis import chain
 from bidexdata.synthesis.attempts import Attempts, gather_starts
-from bidexdata.synthesis.optimise import Optimised, found_at, read_pose, torque_lengths
+from bidexdata.synthesis.optimise import Optimised, found_at, read_pose
 from bidexdata.synthesis.optimise_config import OptimiseConfig
 from bidexdata.synthesis.staging import Press, squeeze
 from bidexdata.synthesis.workspace import HandWork, Workspace, allocate
@@ -60,7 +60,7 @@ def search(
     pregrasp = read_pose(ws, hands)
     _iterate(ws, [_settle_calls(ws, config, 2)], move, range(second, last))
     # The record's residuals have one torque length, whatever a method's own is.
-    lengths = torque_lengths(obj, start.size, config.closure).astype(np.float32)
+    lengths = config.closure.torque_lengths(obj.longest_side * start.size).astype(np.float32)
     ws.torque_length.assign(wp.array(lengths, dtype=float, device=device))
     energy = config.energy_at(0.0, 1)
     return found_at(ws, hands, pregrasp, OptimiseConfig(closure=config.closure, energy=energy))

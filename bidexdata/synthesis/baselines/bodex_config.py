@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import pi
 
+from bidexdata.config import refuse_outside
 from bidexdata.errors import BadConfig
-from bidexdata.synthesis.baselines.kept import keep_everything
-from bidexdata.synthesis.optimise_config import ClosureConfig, EnergyConfig, refuse_outside
-from bidexdata.synthesis.selection import SelectionConfig
-from bidexdata.synthesis.staging import StagingConfig
+from bidexdata.synthesis.optimise_config import ClosureConfig, EnergyConfig
+from bidexdata.synthesis.selection import KEEP_EVERYTHING, SelectionConfig
+from bidexdata.synthesis.staging import PLAIN_SQUEEZE, StagingConfig
 from bidexdata.wrench.qp import QPConfig
 
 
@@ -152,10 +152,6 @@ def _qp() -> QPConfig:
     return QPConfig(mu=0.1, cone_sides=8, gamma=1.0, cap=1.0, beta=0.21)
 
 
-def _staging() -> StagingConfig:
-    return StagingConfig(extrapolate=1.0, base_lead=0.0, force_floor=0.0, force_per_weight=0.0)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BodexConfig:
     """The baseline `bodex`: one closure over both hands, starts from the hull, no regions."""
@@ -169,9 +165,9 @@ class BodexConfig:
     """Length that makes torques comparable with forces, as a share of the box diagonal [-].
     BODex: half the diagonal."""
     schedule: BodexScheduleConfig = field(default_factory=BodexScheduleConfig)
-    staging: StagingConfig = field(default_factory=_staging)
+    staging: StagingConfig = PLAIN_SQUEEZE
     """The squeeze: joints 2 q - q_pre; the base stays, and no joint torques. BODex."""
-    selection: SelectionConfig = field(default_factory=keep_everything)
+    selection: SelectionConfig = KEEP_EVERYTHING
     """Every attempt is kept: BODex's output is unfiltered."""
 
     def __post_init__(self) -> None:

@@ -51,14 +51,14 @@ def contact_candidates(hand: Hand, per_link: int) -> OnHand:
         links = [hand.body_names.index(name) for name in hand.fingers[finger]]
         for body in [b for b in links if shapes[b]][-LINKS:]:
             found.append(_palmar(body, shapes[body], turned[body].T @ pad, per_link))
-    return _joined(found)
+    return joined(found)
 
 
 def surface_points(hand: Hand, count: int) -> OnHand:
     """Spread points over the whole hand, in farthest-point order at zero joint angles."""
     pos, turned = forward_kinematics(hand, np.zeros(len(hand.joint_names)))
     shapes = body_shapes(hand.make_spec().compile())
-    every = _joined(
+    every = joined(
         [OnHand(*_on(body, surface_samples(own, _SPACING)[0])) for body, own in enumerate(shapes)]
     )
     placed = pos[every.body] + np.einsum("nij,nj->ni", turned[every.body], every.pos)
@@ -81,9 +81,9 @@ def with_contacts(hand: Hand, points: OnHand) -> Hand:
     )
 
 
-def joined(first: OnHand, second: OnHand) -> OnHand:
-    """Points of two lists, one after the other."""
-    return _joined([first, second])
+def joined(parts: list[OnHand]) -> OnHand:
+    """Points of several lists, one after the other."""
+    return OnHand(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def _palmar(body: int, shapes: list[Shape], normal: np.ndarray, count: int) -> OnHand:
@@ -96,7 +96,3 @@ def _palmar(body: int, shapes: list[Shape], normal: np.ndarray, count: int) -> O
 
 def _on(body: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.full(len(points), body, np.int64), points
-
-
-def _joined(parts: list[OnHand]) -> OnHand:
-    return OnHand(*(np.concatenate(column) for column in zip(*parts, strict=True)))
