@@ -28,7 +28,7 @@ def opened(
     joints: float,
     least_closing: float = LEAST_CLOSING,
 ) -> Pose:
-    """The pre-grasp of grasps that have none: palms drawn back, fingers opened whatever their limits.
+    """The pre-grasp of grasps that have none: palms drawn back, fingers opened past any limit.
 
     The squeeze goes on from it, so a joint at its stop closes by the whole angle; `within_limits`
     gives what the hand can do of it.

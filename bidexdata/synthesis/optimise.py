@@ -50,7 +50,7 @@ class Optimised:
     """What the optimisation found, and its device arrays, which hold the state at the grasp."""
 
     pregrasp: Pose
-    """Of grasps that were opened it may lie beyond the joints' limits, for the squeeze goes by it."""
+    """Joints of opened grasps may lie beyond their limits here, for the squeeze goes by them."""
     grasp: Pose
     energies: Energies
     points: Float[np.ndarray, "N 2 C 3"]

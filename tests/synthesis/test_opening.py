@@ -36,7 +36,7 @@ def batches(hands):
 
 
 def test_the_grasps_stay_and_their_pregrasps_and_squeezes_are_others(batches):
-    """Every grasp's: palms turn on the way to an optimised grasp, and not to one that was opened."""
+    """Each one is: palms turn on the way to an optimised grasp, not to one that was opened."""
     optimised, made_of_grasps = batches
     for name in ("hand_pos", "hand_quat_wxyz", "joints"):
         one, other = optimised[name], made_of_grasps[name]
