@@ -12,6 +12,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import warp as wp
 
 from bidexdata.hands.device import backward_arguments, forward_arguments
