@@ -29,6 +29,9 @@ SIZE = 0.3
 RADIUS = 0.008
 BOX = np.array([1.0, 0.8, 0.6]) / np.linalg.norm([1.0, 0.8, 0.6]) * SIZE
 BALL = 0.5 / np.sqrt(3) * SIZE
+X = np.eye(3)[0]
+HALF = BOX[0] / 2
+SIDE = np.repeat([0, 1], 3)
 LONG = SettlingConfig(pressing_moves=20, waiting_moves=60, repeats=4)
 # Float32 of some tens of centimetres and of an arc cosine near one; the steps damp what they add.
 LENGTHS, ANGLES = 2e-6, 1e-3
@@ -109,13 +112,6 @@ def settled_by_kernel(name, size, centres, side, radius, config, device):
     inputs += [config.friction, *counts, config.stride, given(centres, wp.vec3)]
     wp.launch(settle, dim=dim, inputs=inputs, outputs=[*kept, *found], device=device)
     return [out.numpy() for out in found]
-
-
-X = np.eye(3)[0]
-HALF = BOX[0] / 2
-
-
-SIDE = np.repeat([0, 1], 3)
 
 
 def assert_as_the_reference(name, size, centres, radius, config, device):
