@@ -165,7 +165,7 @@ def circling_centres(
 ):
     """Move every contact along a circle about its place: `turns` are those since the start.
 
-    Each finger has a start, a pace of 0.5 to 1.5 and a sense of its own; hands are mirror images.
+    Each finger draws its start, a pace of 0.5 to 1.5 and a sense; hands are mirror images.
     """
     grasp, i = wp.tid()
     h = side[i]

@@ -1,6 +1,6 @@
 """The energy terms of the upper level with their gradients, float64 on plain arrays.
 
-This is the readable reference: one function per term, unweighted. The kernels in
+This is the readable reference: one function per term, unweighted, and the points that terms take. The kernels in
 `contact_kernels.py` and `sphere_kernels.py` compute the same on whole batches and are tested
 against it. Axes lead with the batch; M contact points, K spheres, P sphere pairs; object frame.
 """
@@ -54,6 +54,32 @@ def contact_points(
     On it every term is taken: its distance to the surface is that of the centre less the radius.
     """
     return centres + radius[:, None] * normals_in
+
+
+def beside(
+    points: Float[np.ndarray, "*b n 3"],
+    normals: Float[np.ndarray, "*b n 3"],
+    bases: Float[np.ndarray, "*b n 3"],
+    shift: float,
+    turn: Float[np.ndarray, "*b n"],
+) -> Float[np.ndarray, "*b n 3"]:
+    """Give the points `shift` away in the tangent planes: contacts that lie a little elsewhere [m].
+
+    Args:
+        points: Surface points [m].
+        normals: Unit normals there; turns are about them.
+        bases: Origin of the frame of each contact's hand [m]; turns begin in its direction.
+        shift: How far from the points [m].
+        turn: Which way, in circles [-].
+
+    Source:
+        Ours; docs/measurements.md, 14.
+    """
+    u = bases - points
+    u = u - np.sum(u * normals, axis=-1, keepdims=True) * normals
+    u = u / np.maximum(np.linalg.norm(u, axis=-1, keepdims=True), _TINY)
+    angle = 2 * np.pi * turn[..., None]
+    return points + shift * (np.cos(angle) * u + np.sin(angle) * np.cross(normals, u))
 
 
 def distance_energy(

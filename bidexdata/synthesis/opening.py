@@ -28,7 +28,10 @@ def opened(
     joints: float,
     least_closing: float = LEAST_CLOSING,
 ) -> Pose:
-    """The pre-grasp of grasps that have none: palms drawn back, fingers opened within limits.
+    """The pre-grasp of grasps that have none: palms drawn back, fingers opened past any limit.
+
+    The squeeze goes on from it, so a joint at its stop closes by the whole angle; `within_limits`
+    gives what the hand can do of it.
 
     Args:
         grasp: Both hands touching.
@@ -46,9 +49,17 @@ def opened(
         # Sums per component, so that the batch's size cannot change the rounding.
         out = np.sum(R[:, h] * hand.T_hand_palm[:3, 2], axis=-1)
         position[:, h] -= palm * out
-        open_ = grasp.joints[h] - joints * closing_joints(hand, least_closing)
-        opened_joints.append(np.clip(open_, hand.joint_lower, hand.joint_upper))
+        opened_joints.append(grasp.joints[h] - joints * closing_joints(hand, least_closing))
     return Pose(position, grasp.quat_wxyz, (opened_joints[0], opened_joints[1]))
+
+
+def within_limits(pose: Pose, hands: Sequence[Hand]) -> Pose:
+    """The same pose with every joint within its limits."""
+    left, right = (
+        np.clip(q, hand.joint_lower, hand.joint_upper)
+        for q, hand in zip(pose.joints, hands, strict=True)
+    )
+    return pose._replace(joints=(left, right))
 
 
 def closing_joints(hand: Hand, least: float) -> Float[np.ndarray, " J"]:

@@ -55,6 +55,7 @@ class Optimised:
     """What the optimisation found, and its device arrays, which hold the state at the grasp."""
 
     pregrasp: Pose
+    """Joints of opened grasps may lie beyond their limits here, for the squeeze goes by them."""
     grasp: Pose
     energies: Energies
     points: Float[np.ndarray, "N 2 C 3"]

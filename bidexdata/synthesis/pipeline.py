@@ -28,7 +28,7 @@ from bidexdata.synthesis.forces import (
     weight_share,
 )
 from bidexdata.synthesis.methods import MethodConfig, Search, method_of
-from bidexdata.synthesis.opening import opened
+from bidexdata.synthesis.opening import opened, within_limits
 from bidexdata.synthesis.optimise import Optimised
 from bidexdata.synthesis.overlaps import deepest_overlaps
 from bidexdata.synthesis.results import GraspContacts, Made, Outcome, Staged
@@ -182,7 +182,7 @@ def _grasp_set(
     )
     target = method.aim(found, press, views, config)
     return Made(
-        *(found.pregrasp, found.grasp, target, found.energies),
+        *(within_limits(found.pregrasp, hands), found.grasp, target, found.energies),
         _widened(hands, name, found, forces),
         *(forces.residual, forces.residual_hand, shifted, scale),
     )

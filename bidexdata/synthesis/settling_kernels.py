@@ -4,7 +4,8 @@ Axes: N grasps, S places of the object, M contact points of both hands (left fir
 a sphere on a spring whose other end goes where the hands are told to. It cannot enter the object; it
 sticks by friction or slides. Inertia counts for nothing: after every move the object goes to where
 the springs balance. Spheres are kept in the object's frame, so that those that stick move with it;
-forces are in units of a spring's stiffness, so they are lengths [m].
+forces are in units of a spring's stiffness, so they are lengths [m]. The float64 reference is
+`tests/synthesis/settling_reference.py`.
 """
 
 import warp as wp

@@ -9,9 +9,12 @@ from bidexdata.errors import BadConfig
 from bidexdata.frames import matrix_from_quat
 from bidexdata.hands import load_hands
 from bidexdata.record import Scene
-from bidexdata.synthesis.opening import LEAST_CLOSING, closing_joints
+from bidexdata.synthesis.forces import BaseGive
+from bidexdata.synthesis.opening import LEAST_CLOSING, closing_joints, opened, within_limits
 from bidexdata.synthesis.pipeline import synthesize
+from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.presets import load_preset
+from bidexdata.synthesis.staging import Press, StagingConfig, squeeze
 
 PALM, JOINTS = 0.01, 0.1
 FLOAT32 = 1e-5
@@ -32,17 +35,19 @@ def batches(hands):
     return [synthesize(obj, hands, scenes, c, grasps=4) for c in configs]
 
 
-def test_the_grasps_stay_and_their_pregrasps_are_others(batches):
-    optimised, opened = batches
+def test_the_grasps_stay_and_their_pregrasps_and_squeezes_are_others(batches):
+    """Each one is: palms turn on the way to an optimised grasp, not to one that was opened."""
+    optimised, made_of_grasps = batches
     for name in ("hand_pos", "hand_quat_wxyz", "joints"):
-        np.testing.assert_array_equal(optimised[name][:, :, 1], opened[name][:, :, 1])
-        assert not np.array_equal(optimised[name][:, :, 2], opened[name][:, :, 2]) or "quat" in name
-    assert np.abs(optimised["joints"][:, :, 0] - opened["joints"][:, :, 0]).max() > 0.01
+        one, other = optimised[name], made_of_grasps[name]
+        np.testing.assert_array_equal(one[:, :, 1], other[:, :, 1])
+        for stage in (0, 2):
+            apart = np.abs(one[:, :, stage] - other[:, :, stage])
+            assert np.all(apart.max(axis=(1, 2)) > 10 * FLOAT32), (name, stage)
 
 
 def test_palms_go_back_and_on_and_closing_joints_open_and_close(batches, hands):
-    opened = batches[1]
-    pos, quat, joints = (opened[n] for n in ("hand_pos", "hand_quat_wxyz", "joints"))
+    pos, quat, joints = (batches[1][n] for n in ("hand_pos", "hand_quat_wxyz", "joints"))
     np.testing.assert_allclose(quat[:, :, 0], quat[:, :, 1], atol=FLOAT32)
     np.testing.assert_allclose(quat[:, :, 2], quat[:, :, 1], atol=FLOAT32)
     for h, hand in enumerate(hands):
@@ -55,7 +60,26 @@ def test_palms_go_back_and_on_and_closing_joints_open_and_close(batches, hands):
             joints[:, h, 0], hand.joint_upper
         )
         np.testing.assert_allclose(np.where(at_limit, wanted, way), wanted + 0 * way, atol=FLOAT32)
-        np.testing.assert_allclose(joints[:, h, 2] - joints[:, h, 1], way, atol=FLOAT32)
+        on = joints[:, h, 2] - joints[:, h, 1]
+        np.testing.assert_allclose(on, wanted + 0 * way, atol=FLOAT32)
+
+
+def test_a_joint_at_its_stop_cannot_open_but_closes_by_the_whole_angle(hands):
+    stops = [
+        np.where(closing_joints(h, LEAST_CLOSING) > 0, h.joint_lower, h.joint_upper) for h in hands
+    ]
+    grasp = Pose(
+        np.zeros((1, 2, 3)), np.tile([1.0, 0, 0, 0], (1, 2, 1)), (stops[0][None], stops[1][None])
+    )
+    before = opened(grasp, hands, palm=PALM, joints=JOINTS)
+    none = [np.zeros((1, hand.coupling.shape[1])) for hand in hands]
+    still = Press(none, BaseGive(np.zeros((1, 2, 3)), np.zeros((1, 2, 3))))
+    target = squeeze(before, grasp, still, hands, StagingConfig(extrapolate=1.0))
+    for h, hand in enumerate(hands):
+        sense = closing_joints(hand, LEAST_CLOSING)
+        assert np.count_nonzero(sense) >= 12
+        np.testing.assert_array_equal(within_limits(before, hands).joints[h], grasp.joints[h])
+        np.testing.assert_allclose(target.joints[h] - grasp.joints[h], [JOINTS * sense])
 
 
 def test_a_configuration_without_it_keeps_its_fingerprint_and_says_nothing_of_it():

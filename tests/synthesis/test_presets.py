@@ -50,8 +50,9 @@ def test_every_change_of_a_preset_changes_the_default_and_says_why():
         for change in describe_preset(name).changes:
             assert change.reason
             assert value_at(load_preset(name), change.key) == change.value
-            # `forces` and others may equal today's default; then the preset pins them.
-            assert type(value_at(SynthConfig(), change.key)) is type(change.value)
+            default = value_at(SynthConfig(), change.key)
+            assert type(default) is type(change.value)
+            assert default != change.value, change.key
 
 
 def test_the_paper_preset_has_the_papers_numbers():

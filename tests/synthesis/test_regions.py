@@ -162,15 +162,26 @@ def test_the_left_hand_is_farther_to_the_left_where_that_is_wanted(sides, settin
     assert ordered or 0.2 < np.mean(left) < 0.8
 
 
-def test_the_best_pair_of_each_ranking_is_first():
-    regions = regions_of(BOX, 0.5)
-    usable = accessible_anchors(BOX, 0.5, regions, CONFIG)
-    allowed = PairFilter(regions, usable, CONFIG.gap, 1.0)
-    every = allowed.first(np.arange(len(allowed.pairs)), 10**9)
-    best = force_scores(regions, allowed.pairs[every], CONFIG.force_friction).max()
-    force = RegionConfig(score="force", wide=2.0)
-    r = select_region_pairs(BOX, scene(500), force, np.random.default_rng(0))
-    assert r.score[0] == pytest.approx(best)
+@pytest.mark.parametrize("score", ["force", "torque"])
+def test_the_best_of_all_pairs_is_first(score):
+    """Where the torque score is asked to rank every pair by all draws."""
+    config = RegionConfig(score=score, anchors=40, wide=2.0, reranked=1000, refined=1000)
+    regions = regions_of(BOX, 0.5, config)
+    longest = 0.5 * np.ptp(BOX.solid.vertices, axis=0).max()
+    usable = accessible_anchors(BOX, 0.5, regions, config)
+    allowed = PairFilter(regions, usable, config.gap, config.wide * longest)
+    every = allowed.pairs[allowed.first(np.arange(len(allowed.pairs)), 10**9)]
+    assert 100 < len(every) < config.refined
+
+    def scores(pairs):
+        if score == "force":
+            return force_scores(regions, pairs, config.force_friction)
+        return -balance_residuals(regions, pairs, config, longest)
+
+    r = select_region_pairs(BOX, scene(500), config, np.random.default_rng(0))
+    close = {"rel": 1e-4, "abs": 1e-9}  # residuals are float32 means, summed in another order
+    assert r.score[0] == pytest.approx(scores(every).max(), **close)
+    assert scores(r.anchors[:1])[0] == pytest.approx(r.score[0], **close)
 
 
 def test_the_torque_ranking_starts_with_pairs_that_balance():
