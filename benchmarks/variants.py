@@ -68,11 +68,21 @@ def variants(test: str) -> dict[str, Protocol]:
 
 
 def measure(
-    run: Run, test: str, rows: int, workers: int = 2
+    run: Run, test: str, rows: int, workers: int = 2, only: str = ""
 ) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    """Give every variant with its successes on `rows` audit rows a task, `paper-1` first."""
+    """Give every variant with its successes on `rows` audit rows a task, `paper-1` first.
+
+    Args:
+        run: The run.
+        test: `f` or `l`.
+        rows: Audit rows a task.
+        workers: Processes.
+        only: Besides `paper-1` those alone whose name has this in it.
+    """
     with pool(workers) as executor:
         for what, rules in variants(test).items():
+            if what != "paper-1" and only not in what:
+                continue
             plain = what in TO_THE_END
             parts = over_tasks(executor, run, _judge, test, rows, rules, plain)
             yield what, np.array([v for part in parts for v in part])
@@ -98,11 +108,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--test", default="f")
     parser.add_argument("--rows", type=int, default=8, help="audit rows a task")
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--only", default="", help="words in the names of variants")
     asked = parser.parse_args(arguments)
     run, base = Run.open(asked.run), np.zeros(0, bool)
     print(f"run {run.fingerprint}, test {asked.test}, {asked.rows} audit rows a task")
     print("| variant of paper-1 | success [%] | same verdict [%] | N |\n|---|---|---|---|")
-    for what, success in measure(run, asked.test, asked.rows, asked.workers):
+    for what, success in measure(run, asked.test, asked.rows, asked.workers, asked.only):
         base = base if len(base) else success
         shares = f"{100 * success.mean():.1f} | {100 * np.mean(success == base):.1f}"
         print(f"| {what} | {shares} | {len(success)} |", flush=True)
