@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from benchmarks.report import report
-from benchmarks.selection import TUNE
+from benchmarks.selection import tuned_on
 from bidexdata import Run
 from bidexdata.frames import matrix_from_quat
 from bidexdata.objects.prepared import PreparedObject
@@ -74,7 +74,7 @@ def groups_of(
     """Names of the groups that rows of one object belong to, with those that do, (N,)."""
     every = np.ones(len(rows), bool)
     yield "all", every
-    yield "tune" if obj.object_id.rsplit("-", 1)[-1][0] in TUNE else "held_out", every
+    yield "tune" if tuned_on(obj.object_id) else "held_out", every
     yield family_of(obj), every
     if table:
         high = heights(obj, rows) >= HIGH
