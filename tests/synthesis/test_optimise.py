@@ -57,11 +57,7 @@ class Ellipsoid:
         k1 = np.linalg.norm(x / radii**2, axis=-1)
         values = (k0 * (k0 - 1) / np.maximum(k1, 1e-6)).astype(np.float32)
         self.sdf = SignedDistanceGrid(values=values, origin=np.full(3, -0.7), cell=1.4 / cells)
-
-        class Hull:
-            vertices = np.concatenate([np.diag(radii), -np.diag(radii)])
-
-        self.hull = Hull
+        self.longest_side = 2 * radii.max()
 
 
 @pytest.fixture(scope="module")

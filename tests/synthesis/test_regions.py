@@ -173,10 +173,12 @@ def test_the_best_of_all_pairs_is_first(score):
     every = allowed.pairs[allowed.first(np.arange(len(allowed.pairs)), 10**9)]
     assert 100 < len(every) < config.refined
 
+    length = float(ClosureConfig().torque_lengths(np.array(longest)))
+
     def scores(pairs):
         if score == "force":
             return force_scores(regions, pairs, config.force_friction)
-        return -balance_residuals(regions, pairs, config, longest)
+        return -balance_residuals(regions, pairs, config, length)
 
     r = select_region_pairs(BOX, scene(500), config, np.random.default_rng(0))
     close = {"rel": 1e-4, "abs": 1e-9}  # residuals are float32 means, summed in another order
