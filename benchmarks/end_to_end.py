@@ -3,8 +3,8 @@
 Synthesis of every object at six sizes, the best 5 of 20 attempts, then the test of every stored row,
 both by two worker processes. Preparing the objects is not in the time; the start of the processes,
 loading or compiling kernels, reading and writing are. A validated grasp is one that passes. Raw ones are audit
-rows, drawn before any attempt was looked at; selected ones are the best of each object-size. Both are made
-and tested together, so each of the two speeds has all of the time.
+rows, drawn before any attempt was looked at; selected ones are the best of each object-size; stored ones
+are both. They are made and tested together, so each of the speeds has all of the time.
 
 Rates are over all objects and over the halves of `benchmarks.selection`: constants were tuned on
 objects of the half `tune`.
@@ -96,22 +96,26 @@ def measure(
         "rows_tested": tested.rows,
         "synth": synth._asdict(),
         "validate": validate._asdict(),
-        **speeds(found["rates"]["all"], synth, validate),
+        **speeds(
+            {kind: found["rates"]["all"][name]["k"] for kind, name in KINDS.items()}
+            | {"stored": found["by_verdict"].get(Status.OK.label, 0)},
+            *(synth, validate),
+        ),
         **found,
     }
 
 
-def speeds(rates: Mapping[str, Any], *stages: Cost) -> dict[str, float]:
-    """Validated grasps per second of the clock and of the processors, raw and selected.
+def speeds(passed: Mapping[str, int], *stages: Cost) -> dict[str, float]:
+    """Validated grasps per second of the clock and of the processors.
 
     Args:
-        rates: Of all objects, with how many grasps pass.
+        passed: How many grasps pass, by kind: raw, selected, and all that are stored.
         stages: What they took, one after the other.
     """
     seconds, cpu = (sum(column) for column in zip(*stages, strict=True))
     return {
-        f"validated_{kind}_per_{per}": rates[name]["k"] / spent
-        for kind, name in KINDS.items()
+        f"validated_{kind}_per_{per}": count / spent
+        for kind, count in passed.items()
         for per, spent in (("second", seconds), ("cpu_second", cpu))
     }
 

@@ -27,8 +27,7 @@ def test_there_is_no_speed_where_a_worker_has_done_no_second_task(processes: lis
 
 
 def test_both_kinds_of_validated_grasps_have_all_of_the_time():
-    rates = {"unselected": {"k": 40}, "selected": {"k": 60}}
-    assert speeds(rates, Cost(1.0, 2.0), Cost(4.0, 6.0)) == {
+    assert speeds({"raw": 40, "selected": 60}, Cost(1.0, 2.0), Cost(4.0, 6.0)) == {
         "validated_raw_per_second": 8.0,
         "validated_raw_per_cpu_second": 5.0,
         "validated_selected_per_second": 12.0,
