@@ -35,7 +35,7 @@ class QPConfig:
     3: 0.1, 0.3 and 0.6 differ by 3 points of success. The paper gives none, BODex uses 0.1."""
     cone_sides: int = 0
     """Sides of the pyramids around the cones that stand for them [-]; 0 leaves the cones round. BODex
-    has 8; docs/measurements.md, 3: it changes nothing that shows."""
+    has 8; docs/measurements.md, 23: it changes nothing that shows."""
     gamma: float = 1.0
     """Least sum of normal forces of each hand [caps]. BODex's bound; the paper gives no value."""
     cap: float = 1.0
