@@ -76,7 +76,7 @@ def our_terms(
         seeds: Sets of surface points; E_pen and E_spen are means over them.
     """
     data = stored(folder)
-    shown = trimesh.load(folder / OBJECT, process=False, force="mesh")
+    shown = trimesh.load_mesh(folder / OBJECT, process=False)
     mesh = TriangleMesh(np.asarray(shown.vertices), np.asarray(shown.faces, np.int32))
     joints = data["joint_names"].tolist()
     hands = {side: peer_hand(folder, side, joints) for side in SIDES}
