@@ -73,12 +73,14 @@ def groups_of(
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Names of the groups that rows of one object belong to, with those that do, (N,)."""
     every = np.ones(len(rows), bool)
+    half = "tune" if tuned_on(obj.object_id) else "held_out"
     yield "all", every
-    yield "tune" if tuned_on(obj.object_id) else "held_out", every
+    yield half, every
     yield family_of(obj), every
     if table:
         high = heights(obj, rows) >= HIGH
         yield f"at least {100 * HIGH:g} cm high", high
+        yield f"{half}, at least {100 * HIGH:g} cm high", high
         yield "lower", ~high
     for size in np.unique(rows["size_mm"]):
         yield f"{size} mm", rows["size_mm"] == size
