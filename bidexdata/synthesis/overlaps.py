@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bidexdata.frames import quat_multiply, quat_rotate
 from bidexdata.synthesis.attempts import Attempts, rows_per_scene
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.results import Overlaps
@@ -64,6 +63,7 @@ def _overlaps(built: SimScene, obj: PreparedObject, scene: Scene, pose: Pose) ->
         padded[:, h, : joints.shape[1]] = joints
     # In the world, where the table is z = 0; a floating object is at the identity there.
     origin, turn = np.array(scene.object_pos), np.array(scene.object_quat_wxyz)
+    world = pose.moved(origin, turn)
     return np.stack(
         pregrasp_penetration(
             hands,
@@ -71,8 +71,8 @@ def _overlaps(built: SimScene, obj: PreparedObject, scene: Scene, pose: Pose) ->
             scene.size,
             origin,
             turn,
-            quat_rotate(turn, pose.position) + origin,
-            quat_multiply(turn, pose.quat_wxyz),
+            world.position,
+            world.quat_wxyz,
             padded,
             scene=built,
         )
