@@ -20,6 +20,15 @@ def counted(n: int, one: str, many: str = "") -> str:
     return f"{n} {one if n == 1 else many or one + 's'}"
 
 
+def one_line(text: object) -> str:
+    r"""A text, such as an engine's error, with blanks in place of its line breaks.
+
+    >>> one_line(ValueError("mesh volume is too small\n  in hand"))
+    'mesh volume is too small in hand'
+    """
+    return " ".join(str(text).split())
+
+
 def listed(words: Sequence[str], first: int = 3) -> str:
     """The first of some words, and how many more there are.
 

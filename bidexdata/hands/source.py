@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 from bidexdata.errors import BadConfig, NotUsable, PathNotFound
 from bidexdata.hands.model import Side
 from bidexdata.hands.spec import HandSpec
+from bidexdata.wording import one_line
 
 if TYPE_CHECKING:
     import mujoco
@@ -75,7 +76,7 @@ def load_model(spec: HandSpec, side: Side, folder: Path) -> HandMjcf:
     try:
         xml = _hand_xml(source, assets, spec, side_spec.prefix)
     except ValueError as err:
-        raise BadConfig(f"{key}: {path}: MuJoCo refuses the hand ({_one_line(err)})") from err
+        raise BadConfig(f"{key}: {path}: MuJoCo refuses the hand ({one_line(err)})") from err
     return HandMjcf(
         xml=xml,
         assets=_used_assets(xml, assets),
@@ -124,7 +125,7 @@ def _from_menagerie(name: str) -> tuple[Path, mujoco.MjSpec, dict[str, bytes], s
         path, files = robot.xml(entry), robot.assets(entry)
     except (mujoco_menagerie.MenagerieError, OSError) as err:
         raise NotUsable(
-            f"the model {name!r} of MuJoCo Menagerie cannot be loaded ({_one_line(err)}); connect to "
+            f"the model {name!r} of MuJoCo Menagerie cannot be loaded ({one_line(err)}); connect to "
             "the network once so that it can be downloaded, or set MENAGERIE_ROOT to a local copy of "
             "Menagerie, or use --hand capsule"
         ) from err
@@ -150,7 +151,7 @@ def _from_file(path: Path, key: str) -> tuple[mujoco.MjSpec, dict[str, bytes], s
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as err:
-        raise BadConfig(f"{key}: {path}: MuJoCo cannot read this model ({_one_line(err)})") from err
+        raise BadConfig(f"{key}: {path}: MuJoCo cannot read this model ({one_line(err)})") from err
     folder, files = Path(spec.modelfiledir) / spec.meshdir, {}
     for mesh in (m for m in spec.meshes if m.file):
         try:
@@ -235,10 +236,6 @@ def _used_assets(xml: str, assets: Mapping[str, bytes]) -> dict[str, bytes]:
     """Keep the files that the text still names, in its folder of meshes or below it."""
     named = tuple(f"/{file}" for file in re.findall(r'file="([^"]+)"', xml))
     return {name: data for name, data in assets.items() if f"/{name}".endswith(named)}
-
-
-def _one_line(err: Exception) -> str:
-    return " ".join(str(err).split())
 
 
 def _digest(files: Mapping[str, bytes]) -> str:

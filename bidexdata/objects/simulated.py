@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from bidexdata.record.status import Status
+from bidexdata.wording import one_line
 
 from .failure import PrepareFailure
 from .prepared import TriangleMesh
@@ -50,7 +51,7 @@ def check_simulated(pieces: Sequence[TriangleMesh]) -> None:
     try:
         spec.compile()
     except ValueError as err:
-        reason = " ".join(str(err).split())
+        reason = one_line(err)
         raise PrepareFailure(
             Status.DECOMPOSITION_FAILED, f"MuJoCo refuses a convex piece: {reason}"
         ) from err
