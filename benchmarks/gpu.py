@@ -19,14 +19,12 @@ import numpy as np
 from benchmarks.machine import median_seconds
 from benchmarks.objects import hands, prepared
 from benchmarks.report import report
-from bidexdata.config import fingerprint, to_plain, with_overrides
+from bidexdata.config import fingerprint, to_plain
 from bidexdata.devices import start_warp
 from bidexdata.errors import NotUsable
-from bidexdata.hands.contact_sets import contact_view
 from bidexdata.record import GraspBatch, Scene, Status
-from bidexdata.synthesis.attempts import draw_attempts, gather_starts
+from bidexdata.runs.bench_stages import step_microseconds
 from bidexdata.synthesis.config import SynthConfig
-from bidexdata.synthesis.optimise import optimise
 from bidexdata.synthesis.pipeline import synthesize
 from bidexdata.validation import load_protocol, on_backend, validate_grasps
 from bidexdata.validation.validate import grasp_of, scene_of_rows
@@ -142,22 +140,12 @@ def _verdict_rates(amounts: Amounts, device: str) -> dict[str, dict[str, float]]
     return found
 
 
-def _optimiser(amounts: Amounts, device: str) -> dict[str, dict[str, float]]:
+def _optimiser(amounts: Amounts, device: str) -> dict[str, dict[str, float | None]]:
     """Microseconds per bimanual step, per number of attempts in one batch."""
-    config = with_overrides(SynthConfig(), ["placement.contacts=[fingertips]"])
-    obj = prepared(amounts.families[0])
-    touching = [contact_view(hand, "fingertips") for hand in hands()]
-    found = {}
+    obj, found = prepared(amounts.families[0]), {}
     for count in amounts.starts:
-        scene = Scene(obj.object_id, amounts.middle)
-        start = gather_starts([draw_attempts(obj, hands(), scene, config, 0, count)])
-        work = _synchronised(
-            lambda s=start: optimise(obj, touching, s, config.optimise, device=device)
-        )
-        seconds, steps = median_seconds(work, repeats=3), config.optimise.steps
-        found[str(len(start.size))] = {
-            "microseconds_per_bimanual_step": 1e6 * seconds / (len(start.size) * steps)
-        }
+        cost = step_microseconds(obj, hands(), [amounts.middle], count, device=device)
+        found[str(count)] = {"microseconds_per_bimanual_step": cost}
     return found
 
 

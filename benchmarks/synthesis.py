@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import statistics
 import time
 from typing import Any
 
 import numpy as np
 
-from benchmarks.machine import median_seconds
-from benchmarks.objects import hands, objects, scenes
-from bidexdata.config import fingerprint, with_overrides
-from bidexdata.hands.contact_sets import contact_view
+from benchmarks.objects import SIZES_MM, hands, objects, scenes
+from bidexdata.config import fingerprint
+from bidexdata.errors import BidexError
+from bidexdata.hands import load_hands
 from bidexdata.record import Status
-from bidexdata.synthesis.attempts import draw_attempts, gather_starts
+from bidexdata.runs.bench_stages import step_microseconds
 from bidexdata.synthesis.config import SynthConfig
-from bidexdata.synthesis.optimise import optimise
 from bidexdata.synthesis.pipeline import synthesize
 
-FINGERTIPS = ["placement.contacts=[fingertips]"]
 ATTEMPTS = 20
 """Per object-size, as many as the paper has per world."""
 
@@ -38,17 +37,20 @@ def measure() -> dict[str, Any]:
         "raw_grasps_per_second": statistics.median(rates),
         "attempts_with_a_grasp": float(np.mean(counts)),
         "qp_residual_median": float(np.median(residuals)),
-        "microseconds_per_bimanual_step": _step_cost(config),
+        **_step_costs(),
         "steps": config.optimise.steps,
         "config": fingerprint(config),
     }
 
 
-def _step_cost(config: SynthConfig) -> float:
-    """Of grasps by the fingertips."""
-    obj, config = objects()[0], with_overrides(config, FINGERTIPS)
-    attempts = [draw_attempts(obj, hands(), s, config, 0, 4 * ATTEMPTS) for s in scenes(obj)]
-    start = gather_starts(attempts)
-    touching = [contact_view(hand, "fingertips") for hand in hands()]
-    seconds = median_seconds(lambda: optimise(obj, touching, start, config.optimise), repeats=3)
-    return 1e6 * seconds / (len(start.size) * config.optimise.steps)
+def _step_costs() -> dict[str, float | None]:
+    """Per number of contacts: 5 and 10 a hand. The Shadow Hand's where its files are here."""
+    hand = hands()
+    with contextlib.suppress(BidexError):
+        hand = load_hands("shadow")
+    return {
+        f"microseconds_per_bimanual_step_{hand[0].name}_{name}": step_microseconds(
+            objects()[0], hand, SIZES_MM, 2 * ATTEMPTS, contacts=name
+        )
+        for name in ("fingertips", "with_palm")
+    }

@@ -1,4 +1,4 @@
-"""`bidexdata bench`: the paper's tables, made again on a library of one's own."""
+"""`bidexdata bench`: the paper's tables on a library of one's own, and the speed of a machine."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from bidexdata.cli.report import command, finish, percent, table, warn
 
 bench = typer.Typer(invoke_without_command=True, no_args_is_help=False)
 
-BENCHES = {"tables": "the paper's tables of the data synthesis on a library: success, depth, speed"}
+BENCHES = {
+    "tables": "the paper's tables of the data synthesis on a library: success, depth, speed",
+    "speed": "how fast each stage is on this machine, on built-in objects",
+}
 
 
 @bench.callback()
@@ -32,8 +35,63 @@ def _list(
         return
     found = [{"name": name, "description": text} for name, text in BENCHES.items()]
     lines = table([[f["name"], f["description"]] for f in found])
-    lines.append(f"how: {command('bench', 'tables', '--help')}")
+    lines += [f"how: {command('bench', name, '--help')}" for name in BENCHES]
     finish({"benches": found}, lines, as_json=as_json, quiet=quiet)
+
+
+@bench.command("speed")
+def _speed(
+    hand: Annotated[
+        str, typer.Option(help="NAME or LEFT,RIGHT; `bidexdata hands` lists them.")
+    ] = "capsule",
+    device: Annotated[str, typer.Option(help="cpu, or cuda:0 where there is one.")] = "cpu",
+    as_json: options.Json = False,
+    quiet: options.Quiet = False,
+    debug: options.Debug = False,
+) -> None:
+    """Time each stage in one process on three built-in objects at three sizes; about a minute.
+
+    --json keys: hand, device, config, protocol, objects, attempts, prepare_seconds (per object),
+    attempts_per_second, attempts_with_a_grasp, microseconds_per_bimanual_step (five contacts a
+    hand), verdicts_per_second (test f of paper-1 with its metrics), suc_f, seconds.
+    """
+    started = time.perf_counter()
+    from bidexdata.runs.bench_stages import stage_speeds
+
+    found = stage_speeds(hand, device)
+    rows = [
+        ["prepare", f"{found['prepare_seconds']:.1f} s per object"],
+        [
+            "synth",
+            f"{found['attempts_per_second']:.0f} attempts/s,"
+            f" {100 * found['attempts_with_a_grasp']:.0f} % with a grasp",
+        ],
+        ["", _step_text(found["microseconds_per_bimanual_step"])],
+        ["validate", _verdict_text(found)],
+    ]
+    finish(
+        {**found, "seconds": round(time.perf_counter() - started, 3)},
+        [
+            f"one process, {found['objects']} objects x 3 sizes, hand {hand}, device {device};"
+            " medians over objects",
+            *table(rows),
+        ],
+        as_json=as_json,
+        quiet=quiet,
+    )
+
+
+def _step_text(microseconds: float | None) -> str:
+    if microseconds is None:
+        return "no attempt had a start"
+    return f"{microseconds:.1f} us per step of both hands, five contacts each"
+
+
+def _verdict_text(found: Mapping[str, Any]) -> str:
+    if found["verdicts_per_second"] is None:
+        return "no attempt gave a grasp"
+    rate, share = found["verdicts_per_second"], 100 * found["suc_f"]
+    return f"{rate:.1f} verdicts/s of test f, {share:.0f} % passed"
 
 
 @bench.command("tables")

@@ -93,6 +93,7 @@ def draw_attempts(
     count: int,
     *,
     grown: bool = False,
+    device: str = "cpu",
 ) -> Attempts:
     """Choose region pairs and place the palms for `count` attempts of a scene.
 
@@ -104,13 +105,16 @@ def draw_attempts(
         seed: Of this round of the run.
         count: M.
         grown: Earlier rounds have made attempts of this scene; they may have had the same pairs.
+        device: Warp device of the regions; palms are placed on the CPU.
     """
     own = scene_seed(seed, scene.scene_id)
     # A region is judged by as many contacts as the hand that comes to it can make.
     fewest = min(hand.fingertips for hand in hands)
     regions = replace(config.regions, contacts=min(config.regions.contacts, fewest))
     pairs = select_region_pairs(
-        *(obj, scene, regions, np.random.default_rng([own, 0])), closure=config.optimise.closure
+        *(obj, scene, regions, np.random.default_rng([own, 0])),
+        closure=config.optimise.closure,
+        device=device,
     )
     if len(pairs.score) == 0:
         return _without_start(hands, scene, own, count, pairs)

@@ -139,7 +139,7 @@ def explain_attempt(
         device: Warp device.
     """
     grown = first_attempt > 0
-    one = draw_attempts(obj, hands, scene, config, seed, candidates, grown=grown)
+    one = draw_attempts(obj, hands, scene, config, seed, candidates, grown=grown, device=device)
     placed, touching = one.status == Status.OK, one.contact_set[number]
     views = (contact_view(hands[0], touching), contact_view(hands[1], touching))
     row = int(np.count_nonzero(placed[:number])) if placed[number] else None

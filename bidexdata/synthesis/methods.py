@@ -46,6 +46,7 @@ class Draw(Protocol):
         count: int,
         *,
         grown: bool = False,
+        device: str = "cpu",
     ) -> Attempts: ...
 
 

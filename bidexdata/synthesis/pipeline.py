@@ -67,7 +67,7 @@ def synthesize(
         grasps: N, grasps kept per scene.
         candidates: M, attempts per scene; `config.selection.candidates_per_grasp` N when omitted.
         first_attempt: Number of the first attempt, when a run grows.
-        device: Warp device of the optimisation.
+        device: Warp device; palms are placed on the CPU.
 
     Returns:
         The rows that are selected or audited, scene after scene, ordered by attempt; the header
@@ -79,7 +79,9 @@ def synthesize(
     count = candidates or config.selection.candidates_per_grasp * grasps
     grown = first_attempt > 0
     draw = method_of(config).draw
-    attempts = [draw(obj, hands, s, config, seed, count, grown=grown) for s in scenes]
+    attempts = [
+        draw(obj, hands, s, config, seed, count, grown=grown, device=device) for s in scenes
+    ]
     staged = grasp_attempts(obj, hands, attempts, config, device)
     made = []
     for one, rows in zip(attempts, rows_per_scene(attempts), strict=True):

@@ -163,6 +163,7 @@ def select_region_pairs(
     rng: np.random.Generator,
     *,
     closure: ClosureConfig | None = None,
+    device: str = "cpu",
 ) -> RegionPairs:
     """Choose the region pairs of one scene; empty when no two regions are allowed together.
 
@@ -172,13 +173,14 @@ def select_region_pairs(
         config: Numbers and the score.
         rng: Draws contacts, random pairs and random sides.
         closure: Gives the torque length of the torque score; the default one when omitted.
+        device: Warp device.
     """
     size = scene.size
     table = table_plane(scene) if scene.setting == "tabletop" else None
-    regions = build_regions(obj, size, config, rng, table=table)
+    regions = build_regions(obj, size, config, rng, table=table, device=device)
     longest = obj.longest_side * size
     usable = accessible_anchors(obj, size, regions, config, table=table)
-    allowed = PairFilter(regions, usable, config.gap, config.wide * longest)
+    allowed = PairFilter(regions, usable, config.gap, config.wide * longest, device=device)
 
     if config.score == "random":
         pairs, score = random_order(allowed, 8 * config.kept, rng)
@@ -186,7 +188,7 @@ def select_region_pairs(
         pairs, score = force_order(regions, allowed, 8 * config.kept, config.force_friction)
     else:
         length = float((closure or ClosureConfig()).torque_lengths(np.array(longest)))
-        pairs, score = torque_order(regions, allowed, config, length, rng)
+        pairs, score = torque_order(regions, allowed, config, length, rng, device=device)
 
     keep = diverse(regions.anchor_points, pairs, config.diversity * longest, config.kept)
     pairs = _assign_sides(pairs[keep], regions.anchor_points, scene, config.sides, rng)

@@ -46,6 +46,7 @@ def build_regions(
     rng: np.random.Generator,
     *,
     table: Float[np.ndarray, " 4"] | None = None,
+    device: str = "cpu",
 ) -> Regions:
     """Make one region around each of the first surface points; none where no point can be touched.
 
@@ -59,6 +60,7 @@ def build_regions(
         rng: Draws the contacts.
         table: The plane under the object, in its frame; points that no fingertip can touch above
             it are left out, which keeps the order of the others.
+        device: Warp device.
 
     Source:
         BiDexGrasp 4.2, step 1.
@@ -70,7 +72,7 @@ def build_regions(
         number = number[touchable_points(points, normals, table, config.table_fingertip)]
         points, normals = points[number], normals[number]
     count = min(config.anchors, int(np.searchsorted(number, LAST_ANCHOR, side="right")))
-    index, filled = _members(points, normals, count, config)
+    index, filled = _members(points, normals, count, config, device)
     members, member_normals = (np.take(values, index, axis=0) for values in (points, normals))
     mean = member_normals.mean(axis=1, dtype=np.float64)
     length = np.linalg.norm(mean, axis=-1, keepdims=True)
@@ -156,6 +158,7 @@ def _members(
     normals: Float[np.ndarray, "P 3"],
     count: int,
     config: RegionConfig,
+    device: str,
 ) -> tuple[Int[np.ndarray, "A k"], Int[np.ndarray, " A"]]:
     """List the points of each region, and how many of its k places hold different points."""
     import warp as wp
@@ -163,19 +166,19 @@ def _members(
     from bidexdata.synthesis.regions_kernels import region_members_kernel
 
     start_warp()
-    members = wp.empty((count, config.points), dtype=int, device="cpu")
-    filled = wp.empty(count, dtype=int, device="cpu")
+    members = wp.empty((count, config.points), dtype=int, device=device)
+    filled = wp.empty(count, dtype=int, device=device)
     wp.launch(
         region_members_kernel,
         dim=count,
         inputs=[
-            wp.array(points, dtype=wp.vec3, device="cpu"),
-            wp.array(normals, dtype=wp.vec3, device="cpu"),
+            wp.array(points, dtype=wp.vec3, device=device),
+            wp.array(normals, dtype=wp.vec3, device=device),
             config.radius,
             config.same_side,
         ],
         outputs=[members, filled],
-        device="cpu",
+        device=device,
     )
     return members.numpy(), filled.numpy()
 

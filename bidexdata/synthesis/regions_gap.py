@@ -20,7 +20,13 @@ class PairFilter:
     """The pairs (a < b) of usable anchors that may be apart far enough, and the exact test."""
 
     def __init__(
-        self, regions: Regions, usable: Bool[np.ndarray, " A"], gap: float, wide: float
+        self,
+        regions: Regions,
+        usable: Bool[np.ndarray, " A"],
+        gap: float,
+        wide: float,
+        *,
+        device: str = "cpu",
     ) -> None:
         """Bound the gap of every pair by its anchors' distance.
 
@@ -29,8 +35,9 @@ class PairFilter:
             usable: Anchors that may be used at all.
             gap: Least distance between the regions' points [m].
             wide: Anchor distance that is accepted whatever the gap [m].
+            device: Warp device of the exact test.
         """
-        self._regions, self._gap = regions, gap
+        self._regions, self._gap, self._device = regions, gap, device
         anchors = regions.anchor_points
         index = np.flatnonzero(usable)
         a, b = np.triu_indices(len(index), k=1)
@@ -53,7 +60,10 @@ class PairFilter:
             allowed = self._certain[chunk].copy()
             open_ = np.flatnonzero(~allowed)
             if len(open_):
-                allowed[open_] = regions_apart(self._regions, self.pairs[chunk[open_]], self._gap)
+                unsure = self.pairs[chunk[open_]]
+                allowed[open_] = regions_apart(
+                    self._regions, unsure, self._gap, device=self._device
+                )
             found.append(chunk[allowed])
             total += len(found[-1])
             if total >= need:
@@ -62,7 +72,7 @@ class PairFilter:
 
 
 def regions_apart(
-    regions: Regions, pairs: Int[np.ndarray, "Q 2"], gap: float
+    regions: Regions, pairs: Int[np.ndarray, "Q 2"], gap: float, *, device: str = "cpu"
 ) -> Bool[np.ndarray, " Q"]:
     """Tell for each pair whether all points of the two regions are at least `gap` apart [m].
 
@@ -78,20 +88,20 @@ def regions_apart(
         return np.zeros(0, bool)
 
     def vectors(values: Float[np.ndarray, "*b 3"]) -> wp.array:
-        return wp.array(np.asarray(values, np.float32), dtype=wp.vec3, device="cpu")
+        return wp.array(np.asarray(values, np.float32), dtype=wp.vec3, device=device)
 
-    apart = wp.empty(len(pairs), dtype=int, device="cpu")
+    apart = wp.empty(len(pairs), dtype=int, device=device)
     wp.launch(
         regions_apart_kernel,
         dim=len(pairs),
         inputs=[
             vectors(regions.points),
             vectors(regions.anchor_points),
-            wp.array(regions.reach.astype(np.float32), dtype=float, device="cpu"),
-            wp.array(pairs.astype(np.int32), dtype=int, device="cpu"),
+            wp.array(regions.reach.astype(np.float32), dtype=float, device=device),
+            wp.array(pairs.astype(np.int32), dtype=int, device=device),
             gap,
         ],
         outputs=[apart],
-        device="cpu",
+        device=device,
     )
     return apart.numpy() != 0

@@ -45,6 +45,8 @@ def torque_order(
     config: RegionConfig,
     torque_length: float,
     rng: np.random.Generator,
+    *,
+    device: str = "cpu",
 ) -> Ranking:
     """Rank the best pairs by force, and as many random ones, by minus the coupled QP residual.
 
@@ -56,19 +58,22 @@ def torque_order(
         config: Numbers of pairs, QP and friction.
         torque_length: Length that makes torques comparable with forces [m].
         rng: Draws the random pairs.
+        device: Warp device of the QPs.
     """
     force = force_scores(regions, allowed.pairs, config.force_friction)
     best = allowed.first(np.argsort(-force, kind="stable"), config.reranked)
     lot = rng.permutation(len(allowed.pairs))
     rest = allowed.first(lot[~np.isin(lot, best)], config.reranked)
     pairs = allowed.pairs[np.concatenate([best, rest])]
-    first = balance_residuals(regions, pairs, config, torque_length, slice(1))
+    first = balance_residuals(regions, pairs, config, torque_length, slice(1), device=device)
     order = np.argsort(first, kind="stable")
     pairs, residual = pairs[order], first[order]
     refined = np.arange(len(pairs)) < config.refined
     if config.sets > 1:
         others = slice(1, None)
-        more = balance_residuals(regions, pairs[refined], config, torque_length, others)
+        more = balance_residuals(
+            regions, pairs[refined], config, torque_length, others, device=device
+        )
         residual[refined] += (config.sets - 1) * more
         residual[refined] /= config.sets
     order = np.lexsort((residual, ~refined))
@@ -93,6 +98,8 @@ def balance_residuals(
     config: RegionConfig,
     torque_length: float,
     which: slice = slice(None),
+    *,
+    device: str = "cpu",
 ) -> Float[np.ndarray, " n"]:
     """Give the coupled QP's residual, both hands pressing: squared, mean over sets of contacts.
 
@@ -102,6 +109,7 @@ def balance_residuals(
         config: QP, iterations and disturbances.
         torque_length: Length that makes torques comparable with forces [m].
         which: Sets of contacts to take.
+        device: Warp device.
     """
     sets = len(range(regions.contact_points.shape[1])[which])
     if not len(pairs) or not sets:
@@ -119,6 +127,7 @@ def balance_residuals(
         coupling="coupled",
         targets=axis_targets() if config.disturbances == "forces" else zero_target(),
         iterations=config.iterations,
+        device=device,
     )
     residual = solution.residual.astype(np.float64).sum(axis=(1, 2))
     return residual.reshape(len(pairs), sets).mean(axis=1)

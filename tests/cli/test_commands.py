@@ -206,7 +206,7 @@ def test_lists_name_what_there_is_and_json_has_the_documented_keys(
 def test_bench_lists_what_can_be_measured_and_each_has_help(capsys: pytest.CaptureFixture):
     assert run(["bench", "--json"]) == 0
     names = [b["name"] for b in json.loads(capsys.readouterr().out)["benches"]]
-    assert names == ["tables"]
+    assert names == ["tables", "speed"]
     for name in names:
         assert run(["bench", name, "--help"]) == 0
         text = capsys.readouterr().out

@@ -146,6 +146,7 @@ NAMED = [
     ([*BENCH, "--executor", "magic"], "known: processes, inline, ray"),
     ([*DEMO, "--executor", "magic"], "known: processes, inline, ray"),
     ([*SYNTH, "--device", "cuda:99"], "this machine has: cpu"),
+    (["bench", "speed", "--device", "cuda:99"], "this machine has: cpu"),
     ([*RENDER, "--device", "gpu"], "this machine has: cpu"),
     ([*PREPARE[:1], "shapes:boks", *PREPARE[2:]], "known: box"),
     ([*PREPARE[:1], "moon:rocks", *PREPARE[2:]], "known: shapes"),

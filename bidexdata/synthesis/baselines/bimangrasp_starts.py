@@ -42,6 +42,7 @@ def draw_starts(
     count: int,
     *,
     grown: bool = False,
+    device: str = "cpu",
 ) -> Attempts:
     """Place both hands for `count` attempts of a scene; no start is refused.
 
@@ -53,6 +54,7 @@ def draw_starts(
         seed: Of this round of the run.
         count: M.
         grown: Has no effect: every round has a seed of its own.
+        device: Has no effect: starts are drawn on the CPU.
 
     Raises:
         BadConfig: The scene has a table, which BimanGrasp's energies do not know.

@@ -48,6 +48,7 @@ def draw_starts(
     count: int,
     *,
     grown: bool = False,
+    device: str = "cpu",
 ) -> Attempts:
     """Place both hands for `count` attempts of a scene, clear of each other and of the table.
 
@@ -59,6 +60,7 @@ def draw_starts(
         seed: Of this round of the run.
         count: M; an attempt's draws do not depend on it.
         grown: Has no effect: every round has a seed of its own.
+        device: Has no effect: starts are drawn on the CPU.
     """
     own, starts = scene_seed(seed, scene.scene_id), config.starts
     plane = table_plane(scene)
