@@ -207,10 +207,12 @@ def test_bench_lists_what_can_be_measured_and_each_has_help(capsys: pytest.Captu
     assert run(["bench", "--json"]) == 0
     names = [b["name"] for b in json.loads(capsys.readouterr().out)["benches"]]
     assert names == ["tables", "speed"]
+    every = ("--json", "--quiet", "--debug")
+    own = {"tables": ("--workers", "--executor", "--seed"), "speed": ("--hand", "--device")}
     for name in names:
         assert run(["bench", name, "--help"]) == 0
         text = capsys.readouterr().out
-        for option in ("--workers", "--executor", "--seed", "--json", "--quiet", "--debug"):
+        for option in (*every, *own[name]):
             assert option in text
 
 
