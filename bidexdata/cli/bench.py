@@ -11,6 +11,7 @@ import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.report import command, finish, percent, table, warn
+from bidexdata.wording import counted
 
 bench = typer.Typer(invoke_without_command=True, no_args_is_help=False)
 
@@ -63,7 +64,7 @@ def _speed(
         ["prepare", f"{found['prepare_seconds']:.1f} s per object"],
         [
             "synth",
-            f"{found['attempts_per_second']:.0f} attempts/s,"
+            f"attempts per second: {found['attempts_per_second']:.0f},"
             f" {100 * found['attempts_with_a_grasp']:.0f} % with a grasp",
         ],
         ["", _step_text(found["microseconds_per_bimanual_step"])],
@@ -72,7 +73,7 @@ def _speed(
     finish(
         {**found, "seconds": round(time.perf_counter() - started, 3)},
         [
-            f"one process, {found['objects']} objects x 3 sizes, hand {hand}, device {device};"
+            f"one process, {counted(found['objects'], 'object')} x 3 sizes, hand {hand}, device {device};"
             " medians over objects",
             *table(rows),
         ],

@@ -38,6 +38,7 @@ class Status(IntEnum):
     CONTACT_LOST = 24
     SELF_PENETRATION_LEFT = 25
     TABLE_PENETRATION = 26
+    JOINT_RANGE = 27
 
     # arms
     NOT_REACHABLE = 50
@@ -88,6 +89,7 @@ _SENTENCES = {
     Status.CONTACT_LOST: "a contact point ended too far from the object's surface",
     Status.SELF_PENETRATION_LEFT: "the hands penetrate themselves or each other",
     Status.TABLE_PENETRATION: "a hand penetrates the table",
+    Status.JOINT_RANGE: "joints lie outside the range that the hand allows",
     Status.NOT_REACHABLE: "no arm solution reaches the palm pose",
     Status.NOT_RUN: "the test was not run: the attempt has no grasp, or its row was left untested",
     Status.START_PENETRATION: "the pre-grasp penetrates deeper than the start check allows",
@@ -112,6 +114,7 @@ SYNTH_STAGES = {
         Status.SELF_PENETRATION_LEFT,
         Status.TABLE_PENETRATION,
         Status.CONTACT_LOST,
+        Status.JOINT_RANGE,
     ),
     "ok": (Status.OK,),
 }
