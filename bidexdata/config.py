@@ -12,7 +12,7 @@ import hashlib
 import json
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -194,15 +194,26 @@ def _parse_yaml(text: str, where: str) -> Any:
 
 
 def _assign(plain: dict[str, Any], path: list[str], value: Any, whole: str) -> None:
+    top = plain
     for depth, part in enumerate(path[:-1]):
         if not isinstance(plain.get(part), dict):
             raise UnknownKey(part, sorted(plain), _level(".".join(path[:depth])))
         plain = plain[part]
     if path[-1] not in plain:
-        raise UnknownKey(path[-1], sorted(plain), _level(".".join(path[:-1])))
+        deeper = [key for key in _dotted(top) if key.endswith(f".{whole}")]
+        raise UnknownKey(path[-1], sorted(plain), _level(".".join(path[:-1])), deeper)
     if isinstance(plain[path[-1]], dict) and not isinstance(value, dict):
         raise BadConfig(f"{whole} is a group; set one of {', '.join(plain[path[-1]])}")
     plain[path[-1]] = value
+
+
+def _dotted(plain: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """Every key below a level, groups left out: `regions.anchors`."""
+    for key, value in plain.items():
+        if isinstance(value, Mapping):
+            yield from _dotted(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}"
 
 
 def _convert(hint: Any, value: Any, where: str) -> Any:

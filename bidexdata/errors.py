@@ -82,9 +82,10 @@ class UnknownChoice(BadConfig):
 class UnknownKey(BadConfig):
     """A configuration names a key that does not exist."""
 
-    def __init__(self, key: str, known: Sequence[str], where: str):
+    def __init__(self, key: str, known: Sequence[str], where: str, deeper: Sequence[str] = ()):
         self.key, self.known = key, tuple(known)
-        close = get_close_matches(key, self.known, n=1)
+        # A whole key that ends in this one is likelier than one that is only spelled alike.
+        close = list(deeper) or get_close_matches(key, self.known, n=1)
         meant = f"did you mean {close[0]!r}?" if close else f"known keys: {', '.join(self.known)}"
         super().__init__(f"{where} has no key {key!r}; {meant}")
 

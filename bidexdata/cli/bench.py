@@ -50,7 +50,7 @@ def _speed(
     quiet: options.Quiet = False,
     debug: options.Debug = False,
 ) -> None:
-    """Time each stage in one process on three built-in objects at three sizes; about a minute.
+    """Time each stage in one process on three built-in objects at three sizes; a minute or two.
 
     --json keys: hand, device, config, protocol, objects, attempts, prepare_seconds (per object),
     attempts_per_second, attempts_with_a_grasp, microseconds_per_bimanual_step (five contacts a
@@ -59,7 +59,8 @@ def _speed(
     started = time.perf_counter()
     from bidexdata.runs.bench_stages import stage_speeds
 
-    found = stage_speeds(hand, device)
+    say = (lambda _: None) if quiet else (lambda text: warn(f"-- {text}"))
+    found = stage_speeds(hand, device, say=say)
     rows = [
         ["prepare", f"{found['prepare_seconds']:.1f} s per object"],
         [
@@ -123,7 +124,7 @@ def _tables(
 ) -> None:
     """Make the paper's tables again: comparison, ablation, region quality.
 
-    Each row is a run DIR/ROW, made and tested as by synth and validate, which other commands take
+    Twelve rows; `--limit 1 --grasps 1` takes some minutes. Each row is a run DIR/ROW, made and tested as by synth and validate, which other commands take
     too. The same command goes on after a stop, and does nothing where nothing is missing. Writes
     DIR/tables.md and DIR/tables.json, with the paper's figures beside ours. docs/tables.md says
     what each row is and which of them are readings of the paper.

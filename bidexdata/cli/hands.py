@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from bidexdata.cli import options
-from bidexdata.cli.report import command, finish, table
+from bidexdata.cli.report import command, finish, table, warn
 from bidexdata.wording import counted
 
 hands = typer.Typer(invoke_without_command=True, no_args_is_help=False)
@@ -48,7 +48,10 @@ def _check(
     ],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Picture of the hand (.png .jpg .webp); NAME_check.png."),
+        typer.Option(
+            metavar="FILE",
+            help="Picture of the hand (.png .jpg .webp); NAME_check.png in this folder.",
+        ),
     ] = None,
     seed: options.Seed = 0,
     as_json: options.Json = False,
@@ -71,7 +74,8 @@ def _check(
 
     picture = out or Path(f"{Path(spec).stem}_check.png")
     _check_place(picture)
-    report = check_hand(spec, picture, seed=seed)
+    say = (lambda _: None) if quiet else (lambda text: warn(f"-- {text}"))
+    report = check_hand(spec, picture, seed=seed, say=say)
     lines = table([[f.check, _WORDS[f.passed], f.says] for f in report.findings])
     if report.picture is not None:
         lines.append(f"look at {report.picture}")

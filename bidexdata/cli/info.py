@@ -44,7 +44,7 @@ def info(
 
     --json keys: kind, path and, for a library: fingerprint, inputs, objects, hulls, by_status,
     failures (source_name, status, reason), warnings (source_name, warning); a run: fingerprint,
-    hand, method, preset, setting, rest_poses, without_scene (objects that no scene could be made of),
+    hand, method, preset, changed (keys that --set changed), setting, rest_poses, without_scene (objects that no scene could be made of),
     without_grasp (scenes that no grasp was kept of), sizes_mm, grasps, candidates, seed, objects,
     tasks, done (per stage), made_with (per stage: a list of tasks, device, device_name and package
     versions), figures, protocols; a release: name, version, schema_version, default_protocol,
@@ -92,6 +92,8 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
         f"{data['setting']}{poses}, sizes {sizes or '-'} m, {asked}, seed {data['seed']}",
         f"fingerprint {data['fingerprint']}",
     ]
+    if data["changed"]:
+        lines.append(f"set: {' '.join(data['changed'])}")
     if "files" in data:
         files = data["files"]
         lines.append(

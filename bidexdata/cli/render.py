@@ -38,8 +38,10 @@ def render(
     """Draw a contact sheet by ray casting; no screen and no GL library is needed.
 
     Grasps are spread over objects and sizes; the same seed chooses the same ones. Selected grasps
-    are shown, with --only failure audit grasps too. Left hand blue, right hand green, contacts and
-    their outward normals red, the table grey. A library shows its objects. An animation (--video)
+    are shown, with --only failure audit grasps too; both leave out attempts that ended before any
+    test (`synth --explain` draws them). Left hand blue, right hand green; red balls are contacts on
+    the simulated solid, and may show through a thin wall of the mesh, which is what is drawn; red
+    arrows their outward normals; the table grey. A library shows its objects, mesh beside solid. An animation (--video)
     is an MP4 (H.264), a GIF or an animated PNG.
 
     --json keys: out, kind, n, shown (ids of grasps or objects), drawn_by, seconds.

@@ -20,6 +20,7 @@ from bidexdata.cli.report import (
     no_grasp_text,
     no_scene_text,
     refuse_nothing,
+    validate_again,
     warn_of_failed,
 )
 from bidexdata.synthesis.method_names import DEFAULT_METHOD
@@ -45,7 +46,7 @@ def synth(
         str | None,
         typer.Option(
             help="Bounding-box diagonals in metres, separated by commas; by default the paper's "
-            "eleven, 0.3 to 0.8 in steps of 0.05."
+            "eleven, 0.3 to 0.8 in steps of 0.05. They stay as they are on a run."
         ),
     ] = None,
     grasps: Annotated[
@@ -66,7 +67,7 @@ def synth(
         str,
         typer.Option(
             help="bidexgrasp, or a peer's to compare with: bodex, bimangrasp (floating only). "
-            "`bidexdata presets METHOD` lists a peer's keys."
+            "`bidexdata presets METHOD` lists a peer's keys; --explain knows none of them."
         ),
     ] = DEFAULT_METHOD,
     device: Annotated[str, typer.Option(help="cpu, or cuda:0 where there is one.")] = "cpu",
@@ -130,6 +131,7 @@ def synth(
     from bidexdata.record.status import by_synth_stage
     from bidexdata.runs.run import Run
     from bidexdata.runs.synth import PAPER_SIZES_MM, SynthRequest, synth_library
+    from bidexdata.runs.weights import fitting_protocol
     from bidexdata.synthesis.methods import load_method
     from bidexdata.synthesis.presets import load_preset
 
@@ -187,7 +189,7 @@ def synth(
             *([no_scene_text(left_out)] if left_out else []),
             *([no_grasp_text(report.without_grasp)] if report.without_grasp else []),
         ],
-        following=command("validate", out) if done else "",
+        following=validate_again(out, fitting_protocol(run.spec)) if done else "",
         as_json=as_json,
         quiet=quiet,
     )

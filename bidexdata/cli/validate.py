@@ -16,6 +16,7 @@ from bidexdata.cli.report import (
     finish,
     free_name,
     refuse_nothing,
+    warn,
     warn_of_failed,
 )
 from bidexdata.wording import counted
@@ -183,7 +184,11 @@ def _validate(
 ) -> None:
     from bidexdata.runs.chosen import DEFAULT_PROTOCOL
     from bidexdata.runs.validate import validate_run
+    from bidexdata.runs.weights import weight_difference
 
+    note = weight_difference(run.spec, rules)
+    if note:
+        warn(note)
     reports = validate_run(
         *(run, rules, tests),
         execution=execution,

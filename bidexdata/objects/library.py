@@ -66,6 +66,8 @@ _VERSION = "schema_version"
 """Key of the index's metadata: another major version cannot be read."""
 ASKED = "asked"
 """Key of the index's metadata: the same inputs asked for so give the same failures again."""
+SOLID_DOUBT = 0.04
+"""A solid farther than this from its mesh is worth a look [diagonals]."""
 LEFT_OUT = (Status.DUPLICATE, Status.NOT_SELECTED, Status.NEAR_DUPLICATE)
 """Statuses of inputs that nothing is wrong with."""
 
@@ -162,8 +164,19 @@ def warnings_of(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
         {"source_name": str(r["source_name"]), "warning": str(text)}
         for r in rows
         if r["status"] == Status.OK
-        for text in r.get("warnings") or ()
+        for text in (*(r.get("warnings") or ()), *_of_distance(r.get("solid_hausdorff")))
     ]
+
+
+def _of_distance(share: float | None) -> tuple[str, ...]:
+    """Warn of a solid that is not the mesh, which pictures of grasps show: parts lost or filled."""
+    if share is None or not share > SOLID_DOUBT:
+        return ()
+    return (
+        f"the simulated solid is up to {100 * share:.1f} % of the diagonal away from the mesh "
+        f"({500 * share:.0f} mm at 0.5 m): parts are missing or filled; `bidexdata render` of the "
+        "library shows both",
+    )
 
 
 def failures_of(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:

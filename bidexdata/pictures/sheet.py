@@ -57,7 +57,7 @@ def contact_sheet(
 
     Args:
         tiles: Pictures of one size.
-        title: One line at the top.
+        title: At the top; a long one is wrapped.
         footer: One line at the bottom: what drew the pictures, and from what.
         columns: Pictures per row; a landscape sheet when omitted.
     """
@@ -70,17 +70,17 @@ def contact_sheet(
     lines = max((len(_rows(t.caption, width)) for t in tiles), default=0)
     cell = height + lines * _STEP + 2 * GAP
     rows = -(-len(tiles) // columns)
-    size = (
-        columns * (width + GAP) + GAP,
-        2 * GAP + TITLE + rows * cell + _STEP + 2 * GAP,
-    )
+    inside = columns * (width + GAP) - GAP
+    heads = wrapped(title, inside, TITLE)
+    top = 2 * GAP + TITLE + (len(heads) - 1) * (TITLE + GAP // 2)
+    size = (inside + 2 * GAP, top + rows * cell + _STEP + 2 * GAP)
     sheet = Image.new("RGB", size, PAPER)
     draw = ImageDraw.Draw(sheet)
-    inside = size[0] - 2 * GAP
-    draw.text((GAP, GAP), fitted(title, inside, TITLE), INK, _font(TITLE))
+    for k, head in enumerate(heads):
+        draw.text((GAP, GAP + k * (TITLE + GAP // 2)), head, INK, _font(TITLE))
     for k, tile in enumerate(tiles):
         x = GAP + (k % columns) * (width + GAP)
-        y = 2 * GAP + TITLE + (k // columns) * cell + GAP // 2
+        y = top + (k // columns) * cell + GAP // 2
         sheet.paste(Image.fromarray(tile.pixels), (x, y))
         _write(draw, tile.caption, x, y + height + 4, width)
     foot = (GAP, size[1] - _STEP - GAP // 2)
@@ -151,8 +151,15 @@ def require_ending(out: Path, endings: Sequence[str], what: str) -> None:
 
 
 def save_picture(image: Image, path: Path) -> None:
-    """Write one picture; the file's ending says how. The same picture gives the same bytes."""
-    image.save(path)
+    """Write one picture; the file's ending says how. The same picture gives the same bytes.
+
+    A stop on the way leaves no half of one.
+    """
+    from PIL import Image
+
+    partial = path.with_name(f".{path.name}.part")
+    image.save(partial, format=Image.registered_extensions()[path.suffix.lower()])
+    partial.replace(path)
 
 
 def save_animation(frames: Sequence[Image], path: Path) -> None:

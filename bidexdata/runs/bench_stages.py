@@ -38,7 +38,11 @@ class Amounts:
 
 
 def stage_speeds(
-    hand: str = "capsule", device: str = "cpu", amounts: Amounts | None = None
+    hand: str = "capsule",
+    device: str = "cpu",
+    amounts: Amounts | None = None,
+    *,
+    say: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Time preparation, synthesis, one step of the optimiser, and validation.
 
@@ -46,6 +50,7 @@ def stage_speeds(
         hand: NAME or LEFT,RIGHT.
         device: Warp device of the synthesis; the validation is on the CPU.
         amounts: Objects, sizes and attempts.
+        say: Takes a line before each part.
 
     Returns:
         `prepare_seconds` per object; `attempts_per_second`; `attempts_with_a_grasp` (share);
@@ -68,10 +73,12 @@ def stage_speeds(
     fine: list[float] = []
     passed: list[bool] = []
 
+    say("load or compile kernels")
     first = prepare_object(f"shapes:{amounts.families[0]}")
     warm = [Scene(first.object_id, amounts.sizes_mm[0])]
     synthesize(first, hands, warm, config, grasps=1, candidates=1, device=device)
     for family in amounts.families:
+        say(f"{family}: prepare, synthesise, validate")
         obj, seconds = _timed(lambda family=family: prepare_object(f"shapes:{family}"))
         taken["prepare"].append(seconds)
         scenes = [Scene(obj.object_id, size) for size in amounts.sizes_mm]
@@ -91,6 +98,7 @@ def stage_speeds(
             )
             taken["validate"].append(len(some) / seconds)
             passed += verdicts["success"].tolist()
+    say("one step of the optimiser")
     return {
         "hand": hand,
         "device": device,

@@ -106,8 +106,8 @@ def make_tables(
     for row in rows:  # whatever contradicts an earlier call does so before anything is computed
         start_run(opened, out / row.name, requests[row.name])
     failures = []
-    for row in rows:
-        say(f"{row.name}: {row.title}, {row.setting}")
+    for number, row in enumerate(rows, 1):
+        say(f"row {number} of {len(rows)}, {row.name}: {row.title}, {row.setting}")
         failures += _make_row(opened, out / row.name, requests[row.name], how)
     say(f"{REGIONS}: Q1 of region pairs")
     failed = measure_regions(opened, ids, asked.sizes_mm, asked.seed, out / REGIONS, how)

@@ -6,7 +6,7 @@ The order is that of dependence: a check whose ground has failed is not made.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -75,13 +75,20 @@ class HandReport:
         }
 
 
-def check_hand(name: str, picture: Path, *, seed: int = 0) -> HandReport:
+def check_hand(
+    name: str,
+    picture: Path,
+    *,
+    seed: int = 0,
+    say: Callable[[str], None] = lambda _: None,
+) -> HandReport:
     """Check one hand and draw what there is to see.
 
     Args:
         name: A hand that comes with the package, or the path of a YAML spec.
         picture: Image file to write.
         seed: Of the trial grasps.
+        say: Takes a line before each part that takes its time.
 
     Raises:
         UnknownName: No hand has this name and no file this path.
@@ -91,11 +98,14 @@ def check_hand(name: str, picture: Path, *, seed: int = 0) -> HandReport:
 
     start = time.monotonic()
     spec = hand_spec(name)
+    say("load the models, compare them with the spec, move the fingers")
     findings, hands = inspect_hand(name)
     trial = drawn = None
     if hands:
+        say(f"grasp {OBJECT} at {SIZE_MM / 1000:g} m, and test the grasps")
         made, trial = _grasp(hands, findings, seed)
         findings.append(made)
+        say("draw")
         _draw(spec.name, hands, trial, picture)
         drawn = picture
     seen = {f.check for f in findings}

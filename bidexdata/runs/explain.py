@@ -201,6 +201,8 @@ def _verdicts(run: Run, task: Task, grasp_id: str) -> tuple[StoredVerdict, ...]:
         place = failure_place(stage, direction, float(row["time"]))
         if status is Status.OK:
             text = f"passes test {test} of {protocol}"
+        elif status is Status.NOT_RUN:
+            text = f"has no verdict of test {test} of {protocol}: it was not tested"
         else:
             text = f"fails test {test} of {protocol}{place}: {status.label}: {status.sentence}"
         load = DIRECTIONS[direction] if 0 <= direction < len(DIRECTIONS) else ""
@@ -275,7 +277,7 @@ def _written(
     from bidexdata.runs.explain_pictures import energies_chart, stages_sheet
 
     one, folder = report.explanation, run.path / FOLDER / report.grasp_id
-    title = f"{report.scene_id}  grasp {report.grasp_id}  {one.status.label}"
+    title = f"{report.scene_id}  grasp {report.grasp_id}  {_outcome(report)}"
     sheet = stages_sheet(one, report.said, obj, hands, title=title, device=device)
     _save(folder / "stages.png", sheet)
     files = [folder / "stages.png"]
@@ -287,6 +289,12 @@ def _written(
     report = dataclasses.replace(report, files=tuple(files))
     write_text(folder / "explain.md", explain_page(report, hands, run.fingerprint))
     return report
+
+
+def _outcome(report: ExplainReport) -> str:
+    """How the attempt ended, then what each test said of it."""
+    ended = f"attempt {report.explanation.status.label}"
+    return ", ".join([ended, *(v.text for v in report.verdicts)])
 
 
 def _save(path: Path, image: Image) -> None:

@@ -205,15 +205,16 @@ def _selection(one: Explanation, config: SynthConfig, grasps: int) -> StageWords
     rank = f"rank {one.rank} of {counted(len(one.order), 'attempt')} that may be kept"
     pressed, touch, turned = (float(figure[i]) for figure in found.settled)
     by = (
-        f"when the hands have closed {touch:.1f} contacts press, those of the weaker hand by "
-        f"{_mm(pressed)} together, and the object has turned {np.degrees(turned):.1f} "
+        f"when the hands have closed in the quasi-static model (means over four places of the "
+        f"object) {touch:.1f} contacts press, without the object those of the weaker hand would go "
+        f"on by {_mm(pressed)} in sum, and the object has turned {np.degrees(turned):.1f} "
         f"degrees; with the residual of moved contacts that makes a doubt of {found.doubt[i]:.3g}"
     )
     if found.depth[i] > select.clear_depth:
         clear = int(np.sum(found.depth[one.order] <= select.clear_depth))
         by += (
-            f", and a pre-grasp {_mm(found.depth[i])} in the object comes after the {clear} that are "
-            f"at most {_mm(select.clear_depth)} in it"
+            f", and its pre-grasp is {1e3 * found.depth[i]:.2f} mm in the object: it comes after the "
+            f"{clear} whose pre-grasps are at most {_mm(select.clear_depth)} in it"
         )
     last = one.order[: min(grasps, len(one.order))][-1]
     kept = f"the best {grasps} are kept, the last of them has {found.doubt[last]:.3g}"

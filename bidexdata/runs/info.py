@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from bidexdata.formats.figures import Tally
     from bidexdata.formats.release import Release
     from bidexdata.objects.library import Library
+    from bidexdata.runs.spec import RunSpec
 
 
 def describe(
@@ -99,6 +101,7 @@ def describe_run(run: Run, by: str | None = None, protocol: str | None = None) -
         "hand": spec.hand,
         "method": spec.method,
         "preset": spec.preset,
+        "changed": changed_keys(spec),
         "setting": spec.setting,
         **_imported(run),
         "rest_poses": spec.rest_poses,
@@ -116,6 +119,28 @@ def describe_run(run: Run, by: str | None = None, protocol: str | None = None) -
         "protocols": {p: found for p, found in figures.items() if p},
         **({"by": by, "groups": groups} if by else {}),
     }
+
+
+def changed_keys(spec: RunSpec) -> list[str]:
+    """Give the keys that a run's configuration sets to something else than where it started from.
+
+    As `--set` takes them: `staging.mass=0.5`. None for imported rows, and where the preset is no
+    longer there.
+    """
+    from bidexdata.config import differing_keys, to_plain
+    from bidexdata.synthesis.method_names import DEFAULT_METHOD
+    from bidexdata.synthesis.methods import load_method
+    from bidexdata.synthesis.presets import load_preset
+
+    if spec.kind != "synth":
+        return []
+    try:
+        method = load_method(spec.method or DEFAULT_METHOD)
+        base = load_preset(spec.preset) if method.name == DEFAULT_METHOD else method.config()
+    except UnknownName:
+        return []
+    differing = differing_keys(to_plain(base), spec.config)
+    return [re.sub(r": .* -> ", "=", text, count=1) for text in differing]
 
 
 def _imported(run: Run) -> dict[str, Any]:

@@ -105,6 +105,11 @@ def grown(folder: Path, old: RunSpec, wanted: RunSpec) -> RunSpec:
         # Methods have configurations of their own, whose keys say nothing about each other.
         raise ConfigConflict(folder, [f"method: {was!r} -> {asked!r}"])
     differing = _readable(differing_keys(old.identity(), wanted.identity()))
+    if old.preset and old.preset != wanted.preset:
+        # One word says more than the dozens of keys that follow from it.
+        own = [text for text in differing if not text.startswith("config.")]
+        if len(own) < len(differing):
+            differing = [f"preset: {old.preset!r} -> {wanted.preset!r}", *own]
     grasps, candidates = wanted.grasps or 0, wanted.candidates or 0
     had_grasps, had_candidates = old.grasps or 0, old.candidates or 0
     if grasps < had_grasps:

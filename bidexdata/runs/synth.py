@@ -8,7 +8,7 @@ import os
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -153,7 +153,8 @@ def start_run(library: Library, out: Path, request: SynthRequest) -> Run:
         refuse_foreign(out)
         sweep([out])
     wanted = _wanted(library, out, request, old)
-    spec = wanted if old is None else grown(out, old, wanted)
+    # The same library may have moved: where it lies now is no other configuration.
+    spec = wanted if old is None else replace(grown(out, old, wanted), source=wanted.source)
     out.mkdir(parents=True, exist_ok=True)
     if spec != old:
         write_spec(out, spec)

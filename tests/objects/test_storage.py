@@ -219,3 +219,12 @@ def test_of_two_writers_of_one_folder_the_first_stays_and_nothing_else(tmp_path,
     write_files(folder, {"a": b"second"})
     assert (folder / "a").read_bytes() == b"first"
     assert [p.name for p in folder.parent.iterdir()] == ["box"]
+
+
+def test_a_solid_far_from_its_mesh_is_warned_of_in_millimetres():
+    row = {"source_name": "barrow.obj", "status": Status.OK, "warnings": ["one"]}
+    near = warnings_of([{**row, "solid_hausdorff": 0.039}])
+    far = warnings_of([{**row, "solid_hausdorff": 0.06}])
+    assert [w["warning"] for w in near] == ["one"]
+    assert "6.0 % of the diagonal" in far[1]["warning"]
+    assert "30 mm at 0.5 m" in far[1]["warning"]

@@ -204,3 +204,26 @@ def test_a_load_is_named_only_where_it_says_something():
         "fails test f: the object was beyond the limits when the hands had closed"
     )
     assert "(load" not in outcome_words("l", Status.SLIP, -1)
+
+
+def test_a_title_that_is_too_long_is_wrapped_and_not_cut():
+    tile = Tile(np.zeros((40, 200, 3), np.uint8), Caption("a"))
+    low = contact_sheet([tile], title="short", footer="")
+    high = contact_sheet([tile], title="a title that goes on, " * 5, footer="")
+    assert high.size[0] == low.size[0]
+    assert high.size[1] > low.size[1]
+
+
+def test_a_picture_that_cannot_be_finished_leaves_what_was_there(tmp_path, monkeypatch):
+    out = tmp_path / "a.png"
+    out.write_bytes(b"old")
+    broken = Image.new("RGB", (4, 4))
+
+    def stop(file, **_):
+        Path(file).write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(broken, "save", stop)
+    with pytest.raises(KeyboardInterrupt):
+        save_picture(broken, out)
+    assert out.read_bytes() == b"old"

@@ -158,3 +158,8 @@ def test_merge_overlays_nested_mappings_only():
     base = {"a": {"x": 1, "y": 2}, "b": [1, 2]}
     assert config.merge(base, {"a": {"y": 3}, "b": [9]}) == {"a": {"x": 1, "y": 3}, "b": [9]}
     assert base == {"a": {"x": 1, "y": 2}, "b": [1, 2]}
+
+
+def test_a_key_without_its_group_is_named_with_it():
+    with pytest.raises(UnknownKey, match=r"no key 'weight'; did you mean 'inner\.weight'"):
+        config.with_overrides(Outer(), ["weight=2"])

@@ -69,6 +69,15 @@ def test_an_edited_or_newer_file_is_a_contradiction(tmp_path: Path, edit):
         read_spec(tmp_path)
 
 
+def test_another_preset_is_named_by_its_name(tmp_path: Path):
+    other = dataclasses.replace(SPEC, preset="paper", config={"optimise": {"steps": 1}}, seed=3)
+    with pytest.raises(ConfigConflict) as err:
+        grown(tmp_path, dataclasses.replace(SPEC, preset="default"), other)
+    assert "preset: 'default' -> 'paper'" in str(err.value)
+    assert "seed: 0 -> 3" in str(err.value)
+    assert "optimise" not in str(err.value)
+
+
 def test_a_folder_without_it_is_no_run(tmp_path: Path):
     with pytest.raises(PathNotFound, match="bidexdata synth"):
         read_spec(tmp_path)
