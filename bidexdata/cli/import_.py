@@ -16,7 +16,10 @@ _SHOWN = 10
 
 
 def import_(
-    format_: Annotated[str, typer.Argument(metavar="FORMAT", help="dexgraspbench.")],
+    format_: Annotated[
+        str,
+        typer.Argument(metavar="FORMAT", help="dexgraspbench, bodex, dexgraspnet or bimangrasp."),
+    ],
     path: Annotated[Path, typer.Argument(metavar="PATH", help="The other project's folder.")],
     out: Annotated[Path, typer.Option(metavar="RUN", help="Folder of the run.")],
     hand: Annotated[
@@ -43,10 +46,12 @@ def import_(
     """Import grasps of another project, with their objects, as a run.
 
     A file that cannot be used is counted with its reason; files.parquet in the run lists all. The
-    same command goes on after a stop.
+    same command goes on after a stop. What the files do not say is listed. A grasp that the hand
+    cannot take becomes a row without a pose, status joint_range.
 
-    --json keys: run, fingerprint, files, files_failed, n, left_out, objects, objects_failed,
-    tasks, tasks_before, tasks_failed, failures (file, reason), seconds.
+    --json keys: run, fingerprint, files, files_failed, n, by_status, left_out, objects,
+    objects_failed, tasks, tasks_before, tasks_failed, failures (file, reason), unknown (phrases),
+    seconds.
     """
     from bidexdata.errors import NothingSucceeded
     from bidexdata.formats.importers import load_format
@@ -62,6 +67,7 @@ def import_(
         objects=objects,
         limit=limit,
     )
+    form = load_format(format_)
     execution = options.execution_of(executor, workers, None, quiet)
     report = import_run(request, out, execution=execution)
     failed, stage = report.failed, report.stage
@@ -73,6 +79,7 @@ def import_(
         "files": len(report.files),
         "files_failed": len(failed),
         "n": report.rows,
+        "by_status": dict(report.by_status),
         "left_out": report.left_out,
         "objects": made,
         "objects_failed": len(report.objects) - made,
@@ -80,6 +87,7 @@ def import_(
         "tasks_before": stage.before,
         "tasks_failed": len(stage.failures),
         "failures": [{"file": f.file, "reason": f.reason} for f in report.files if f.reason],
+        "unknown": list(report.unknown),
         "seconds": round(report.seconds, 3),
     }
     warn_of_failed(stage, out)
@@ -96,14 +104,19 @@ def import_(
         f"from {counted(len(report.files), 'file')} ({statuses}) in "
         f"{report.seconds:.1f} s"
     )
+    odd = {k: n for k, n in report.by_status.items() if k != Status.OK.label}
+    if odd:
+        lines.append(f"without a pose: {counts_text(odd)} ({Status.JOINT_RANGE.sentence})")
+    if done:
+        lines += [f"not known: {phrase}" for phrase in report.unknown]
     finish(
         data,
         lines,
-        following=command("validate", out, "--protocol", load_format(format_).protocol)
-        if done
-        else "",
+        following=command("validate", out, "--protocol", form.protocol) if done else "",
         as_json=as_json,
         quiet=quiet,
     )
     if not done:
-        raise NothingSucceeded(f"not one grasp of {path} could be imported; see the reasons")
+        raise NothingSucceeded(
+            f"not one grasp of {path} could be imported; see the reasons; expected {form.expected}"
+        )

@@ -70,7 +70,7 @@ def given_pieces(item: SourceItem, config: LoadConfig) -> GivenPieces:
         whole=joined(raw),
         radius=float(np.linalg.norm(corners, axis=1).max()),
         shown=shown,
-        not_convex=sum(not _fills(p, h) for p, h in zip(solid, hulls, strict=True)),
+        not_convex=sum(not fills_hull(p, h) for p, h in zip(solid, hulls, strict=True)),
         warnings=(*warnings, *doubts),
     )
 
@@ -93,7 +93,8 @@ def file_groups(path: Path, config: LoadConfig) -> list[TriangleMesh]:
     return [compact(TriangleMesh(vertices, own)) for own in np.split(faces, cuts)]
 
 
-def _fills(piece: TriangleMesh, hull: TriangleMesh) -> bool:
+def fills_hull(piece: TriangleMesh, hull: TriangleMesh) -> bool:
+    """Whether a closed piece is convex, or nearly: it fills its hull."""
     return abs(mass_properties(piece).volume) >= _CONVEX * mass_properties(hull).volume
 
 

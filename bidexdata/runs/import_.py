@@ -12,25 +12,29 @@ from __future__ import annotations
 import dataclasses
 import logging
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
+
 from bidexdata.config import differing_keys, fingerprint
 from bidexdata.errors import BidexError, ConfigConflict, NotUsable, PathNotFound
 from bidexdata.kinds import RUN_FILE
 from bidexdata.objects.library import Library
+from bidexdata.objects.sources.item import UNKNOWN
 from bidexdata.objects.storage import read_document
-from bidexdata.record import Status
+from bidexdata.record import GraspBatch, Status
 from bidexdata.record.scene import Setting, setting_of
 from bidexdata.runs.import_objects import find_objects, make_objects, read_begun
 from bidexdata.runs.import_scan import (
     FILES,
     MEMORY_GIB,
     FileRow,
-    read_file,
+    read_bounded,
     read_files,
     scan,
     write_files,
@@ -48,6 +52,7 @@ from bidexdata.runs.spec import (
 )
 from bidexdata.runs.stage import StageReport, TaskExecution, TaskSummary, run_stage
 from bidexdata.runs.worker_limits import limit_memory
+from bidexdata.wording import counted
 
 if TYPE_CHECKING:
     from bidexdata.formats.importers.format import Format, ObjectSource, Placed
@@ -87,6 +92,10 @@ class ImportReport:
     """Index rows of the library."""
     stage: StageReport = field(default_factory=lambda: StageReport(tasks=0, before=0))
     """Of the last pass."""
+    by_status: Mapping[str, int] = field(default_factory=dict)
+    """Rows of the run per status; `joint_range` are grasps that our hand cannot take."""
+    unknown: tuple[str, ...] = ()
+    """What the files do not say, one phrase each."""
     seconds: float = 0.0
 
     @property
@@ -146,7 +155,7 @@ def import_run(
     )
     files, index = make_objects(form, files, sources, out / LIBRARY, execution, begun)
     if not any(f.rows for f in files):
-        taken = {"files": tuple(files), "objects": tuple(index)}
+        taken = {"files": tuple(files), "objects": tuple(index), "unknown": form.unknown}
         return ImportReport(run=out, **taken, seconds=time.monotonic() - start)
     library = Library.open(out / LIBRARY)
     run, tasks = _start(out, asked, files, library, old)
@@ -166,8 +175,26 @@ def import_run(
         files=tuple(files),
         objects=tuple(index),
         stage=stage,
+        by_status=_by_status(run),
+        unknown=(*form.unknown, *_unknown_origins(index)),
         seconds=time.monotonic() - start,
     )
+
+
+def _by_status(run: Run) -> dict[str, int]:
+    total: Counter[str] = Counter()
+    for batch in run.batches():
+        total.update(_counted(batch))
+    return dict(sorted(total.items()))
+
+
+def _unknown_origins(index: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Of how many objects nobody stated the licence."""
+    made = [r for r in index if r["status"] == Status.OK]
+    silent = sum(r["licence"] == UNKNOWN for r in made)
+    if not silent:
+        return []
+    return [f"licence of {silent} of {counted(len(made), 'object')}: an INDEX.csv beside them says"]
 
 
 def _file_names(form: Format, request: ImportRequest) -> list[str]:
@@ -177,7 +204,10 @@ def _file_names(form: Format, request: ImportRequest) -> list[str]:
         raise PathNotFound(request.objects, "the folder of the objects")
     names = form.files(request.path)[: request.limit]
     if not names:
-        raise NotUsable(f"{request.path} holds no file that the format {form.name} reads")
+        raise NotUsable(
+            f"{request.path} holds no file that the format {form.name} reads; "
+            f"expected {form.expected}"
+        )
     return names
 
 
@@ -200,11 +230,14 @@ def _asked(
     hands: Sequence[Hand],
 ) -> RunSpec:
     """What run.json will say, but for what is known of objects that are made."""
+    from bidexdata.formats.importers.stages import made_of
+
     read = [[f.file, f.sha256, f.object_id] for f in files if not f.failed]
     return RunSpec(
         kind="import",
         config={
             "format": form.name,
+            **({"made_stages": made_of()} if form.made_stages else {}),
             "files": len(read),
             "source": fingerprint(read),
             "objects": fingerprint(sorted(s.sha256 for s in sources.values())),
@@ -282,11 +315,11 @@ def _import_task(
     limit_memory(MEMORY_GIB)
     run, form = open_unchanged(run_path, run_fingerprint), load_format(form_name)
     log_to(run.path / "logs")
+    files = [f for f in read_files(run.path, task.object_id) if not f.failed]
     parts = []
-    for file in read_files(run.path, task.object_id):
-        if file.failed:
-            continue
-        sha256, grasps = read_file(form, Path(root), file.file)
+    for file, (sha256, grasps) in zip(
+        files, read_bounded(form_name, root, [f.file for f in files]), strict=True
+    ):
         if sha256 != file.sha256:
             raise NotUsable(f"{file.file} changed while it was being imported; import it again")
         parts.append((file.file, grasps))
@@ -307,4 +340,10 @@ def _import_task(
     path = shard_path(run.stage_folder("rows"), task.task_id)
     write_shard(path, batch.to_arrow(), run.fingerprint)
     logging.getLogger(__name__).info("task %s: %d rows", task.task_id, len(batch))
-    return TaskSummary(len(batch), len(batch), {Status.OK.label: len(batch)})
+    return TaskSummary(len(batch), len(batch), _counted(batch))
+
+
+def _counted(batch: GraspBatch) -> dict[str, int]:
+    """Rows per label of their status."""
+    found, counts = np.unique(batch["synth_status"], return_counts=True)
+    return {Status(s).label: int(n) for s, n in zip(found, counts, strict=True)}

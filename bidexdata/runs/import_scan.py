@@ -1,18 +1,19 @@
 """The first pass of an import: what every foreign file holds, and which cannot be used.
 
-Files are read in chunks by worker processes of bounded memory: whatever a file does to its reader
-costs that file alone.
+Files are read in chunks by worker processes of bounded memory, whatever the executor: whatever a
+file does to its reader costs that file alone.
 """
 
 from __future__ import annotations
 
 import hashlib
+import multiprocessing
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bidexdata.errors import Contradiction
+from bidexdata.errors import Contradiction, NotUsable
 from bidexdata.runs.executors import TaskFailure, run_tasks
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.shards import write_atomically
@@ -89,7 +90,24 @@ def read_file(form: Format, root: Path, name: str) -> tuple[str, ForeignGrasps]:
         data = path.read_bytes()
     except OSError as err:
         raise BadFile(err.strerror or type(err).__name__) from err
-    return hashlib.sha256(data).hexdigest(), form.read(data)
+    return hashlib.sha256(data).hexdigest(), form.read(data, name)
+
+
+def read_bounded(
+    form_name: str, root: str, names: Sequence[str]
+) -> list[tuple[str, ForeignGrasps]]:
+    """Read files in a process of bounded memory: this one if it is a worker, else a child of it.
+
+    Raises:
+        NotUsable: One of them cannot be read now.
+    """
+    work = partial(_read_chunk, form_name, root)
+    if multiprocessing.parent_process() is not None:
+        return work(tuple(names))
+    ((_, result),) = run_tasks([tuple(names)], work, executor="processes", workers=1)
+    if isinstance(result, TaskFailure):
+        raise NotUsable(f"reading {names[0]} and the files after it failed: {result.reason}")
+    return result
 
 
 def write_files(path: Path, rows: Iterable[FileRow]) -> None:
@@ -138,7 +156,9 @@ def _read_all(
 ) -> Iterable[tuple[tuple[str, ...], list[FileRow]]]:
     """Read chunk by chunk; a chunk that ended its worker is read again file by file."""
     work = partial(_scan_chunk, form.name, str(root))
-    how: dict[str, Any] = {"executor": execution.executor, "workers": execution.workers}
+    # Never in this process, and not on another machine: a worker of Ray has no bound of its own.
+    alone = execution.executor == "inline"
+    how: dict[str, Any] = {"executor": "processes", "workers": 1 if alone else execution.workers}
     again: list[tuple[str, ...]] = []
     for chunk, result in run_tasks(chunks, work, **how):
         if isinstance(result, TaskFailure):
@@ -150,6 +170,16 @@ def _read_all(
             yield chunk, [FileRow(chunk[0], reason=f"reading it failed: {result.reason}")]
         else:
             yield chunk, result
+
+
+def _read_chunk(
+    form_name: str, root: str, names: tuple[str, ...]
+) -> list[tuple[str, ForeignGrasps]]:
+    from bidexdata.formats.importers import load_format
+
+    limit_memory(MEMORY_GIB)
+    form = load_format(form_name)
+    return [read_file(form, Path(root), name) for name in names]
 
 
 def _scan_chunk(form_name: str, root: str, names: tuple[str, ...]) -> list[FileRow]:

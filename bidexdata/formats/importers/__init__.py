@@ -12,7 +12,9 @@ from importlib import import_module
 from bidexdata.errors import UnknownName
 from bidexdata.formats.importers.format import Format
 
-FORMATS = {"dexgraspbench": "bidexdata.formats.importers.dexgraspbench"}
+FORMATS = {
+    name: f"{__name__}.{name}" for name in ("dexgraspbench", "bodex", "dexgraspnet", "bimangrasp")
+}
 """Name on the command line -> module with `FORMAT`."""
 
 

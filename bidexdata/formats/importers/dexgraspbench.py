@@ -4,7 +4,7 @@ A file holds one grasp (29,) or several (N, 29) of the right Shadow hand: `pregr
 `grasp_qpos`, `squeeze_qpos` = x y z, qw qx qy qz of the hand's root, 22 joints; `obj_pose`,
 `obj_scale` (metres per unit of the object's meshes), `obj_path`. An object is a folder with
 `urdf/meshes/*.obj` (convex pieces), `mesh/simplified.obj` and `info/simplified.json`. What BODex
-itself writes is another format: its grasps come in after its own conversion to the benchmark's.
+itself writes is another format (bodex.py).
 
 The benchmark's simulator weighs an object piece by piece, so volume, centre of mass and inertia
 here are sums over the pieces, overlaps counted twice; what it calls mass refers to the volume of
@@ -21,12 +21,14 @@ from typing import Any
 
 import numpy as np
 
+from bidexdata.formats.importers.coacd_objects import stated_origin
 from bidexdata.formats.importers.format import (
     BadFile,
     FloatArray,
     ForeignGrasps,
     Format,
     ObjectSource,
+    files_below,
 )
 from bidexdata.formats.importers.restricted_pickle import MAX_BYTES, read_npy_dict
 from bidexdata.frames import quat_rotate
@@ -35,7 +37,6 @@ from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.loading import file_mesh
 from bidexdata.objects.prepared import PreparedObject, TriangleMesh
-from bidexdata.objects.sources.files import usable_list
 from bidexdata.objects.sources.item import UNKNOWN
 
 JOINT_NAMES = (
@@ -54,26 +55,18 @@ _ABOUT = ("source", "licence", "author", "category")
 
 def files(root: Path) -> list[str]:
     """Grasp files below `graspdata` (or, without such a folder, anywhere below)."""
-    top = root / _GRASPS if (root / _GRASPS).is_dir() else root
-    found = []
-    for folder, folders, names in os.walk(top):
-        folders[:] = sorted(n for n in folders if not n.startswith("."))
-        found += [
-            Path(folder, name).relative_to(root).as_posix()
-            for name in names
-            if name.endswith(".npy") and not name.startswith(".")
-        ]
-    return sorted(found, key=os.fsencode)
+    return files_below(root, _GRASPS if (root / _GRASPS).is_dir() else ".", ".npy")
 
 
-def read(data: bytes) -> ForeignGrasps:
+def read(data: bytes, name: str) -> ForeignGrasps:
     """Read one file.
 
     Raises:
         BadFile: It cannot be read, lacks a key, or not one of its grasps can be used.
     """
+    del name  # the file says all itself
     found = read_npy_dict(data)
-    first = _numbers(found, STAGE_KEYS[0])
+    first = numbers(found, STAGE_KEYS[0])
     if first.ndim not in (1, 2) or first.shape[-1:] != (7 + len(JOINT_NAMES),):
         width = 7 + len(JOINT_NAMES)
         raise BadFile(f"{STAGE_KEYS[0]} has shape {first.shape}, not ({width},) or (N, {width})")
@@ -81,18 +74,18 @@ def read(data: bytes) -> ForeignGrasps:
     qpos = np.stack([_rows(found, key, count, first.shape[-1]) for key in STAGE_KEYS], axis=1)
     scale = _rows(found, "obj_scale", count, 1)[:, 0]
     pose = _rows(found, "obj_pose", count, 7)
-    reasons = [_wrong(qpos[i], scale[i], pose[i]) for i in range(count)]
+    reasons = [reason_against(qpos[i], scale[i], pose[i]) for i in range(count)]
     row = np.array([i for i, reason in enumerate(reasons) if not reason], np.int64)
     several = count > 1
     bad = [f"grasp {i}: {r}" if several else r for i, r in enumerate(reasons) if r]
     if not len(row):
         raise BadFile(bad[0] if bad else "it holds no grasp")
-    quat = _unit(qpos[row, :, 3:7])
+    quat = unit_quats(qpos[row, :, 3:7])
     return ForeignGrasps(
         object_name=_object_name(found),
         scale=scale[row],
         object_pos=pose[row, :3],
-        object_quat_wxyz=_unit(pose[row, 3:]),
+        object_quat_wxyz=unit_quats(pose[row, 3:]),
         hand_pos=(qpos[row, :, :3] + quat_rotate(quat, ROOT_TO_PALM))[:, None],
         hand_quat_wxyz=quat[:, None],
         joints=(qpos[row, :, 7:],),
@@ -124,7 +117,7 @@ def find_object(name: str, root: Path, objects: Path | None) -> ObjectSource:
         raise BadFile(f"its object {name!r} has no convex piece in {meshes}")
     others = (folder / "info" / "simplified.json", folder / "mesh" / "simplified.obj")
     files = (*pieces, *(p for p in others if p.is_file()))
-    return ObjectSource.of(path.name, folder, files, _about(folder), top=top)
+    return ObjectSource.of(path.name, folder, files, stated_origin(folder), top=top)
 
 
 def load_object(source: ObjectSource, config: PrepareConfig) -> PreparedObject:
@@ -166,10 +159,18 @@ def _object_name(found: dict[str, Any]) -> str:
     return str(name)
 
 
-def _numbers(found: dict[str, Any], key: str) -> FloatArray:
+def numbers(found: dict[str, Any], key: str) -> FloatArray:
+    """An array of a file.
+
+    Raises:
+        BadFile: It is not there, or not of numbers.
+    """
     if key not in found:
         raise BadFile(f"it has no {key}")
-    value = np.asarray(found[key])
+    try:
+        value = np.asarray(found[key])
+    except ValueError as err:  # lists of different lengths
+        raise BadFile(f"its {key} is not numbers") from err
     if value.dtype.kind not in "fiu":
         raise BadFile(f"its {key} is not numbers")
     return value.astype(np.float64)
@@ -177,7 +178,7 @@ def _numbers(found: dict[str, Any], key: str) -> FloatArray:
 
 def _rows(found: dict[str, Any], key: str, count: int, width: int) -> FloatArray:
     """One row per grasp; what is given once holds for all."""
-    value = _numbers(found, key)
+    value = numbers(found, key)
     if value.shape in ((), (width,)) and value.size == width:
         return np.broadcast_to(value.reshape(1, width), (count, width))
     if value.size != count * width or value.shape[:1] != (count,):
@@ -185,8 +186,14 @@ def _rows(found: dict[str, Any], key: str, count: int, width: int) -> FloatArray
     return value.reshape(count, width)
 
 
-def _wrong(qpos: FloatArray, scale: float, pose: FloatArray) -> str:
-    """Say why a grasp cannot be used; empty where it can."""
+def reason_against(qpos: FloatArray, scale: float, pose: FloatArray) -> str:
+    """Say why a grasp cannot be used; empty where it can.
+
+    Args:
+        qpos: Its stages, (3, 29).
+        scale: Of the object.
+        pose: Of the object, (7,).
+    """
     for key, values in zip(STAGE_KEYS, qpos, strict=True):
         if not np.isfinite(values).all():
             return f"its {key} is not finite"
@@ -199,13 +206,9 @@ def _wrong(qpos: FloatArray, scale: float, pose: FloatArray) -> str:
     return ""
 
 
-def _unit(quat: FloatArray) -> FloatArray:
+def unit_quats(quat: FloatArray) -> FloatArray:
+    """Quaternions of length 1, (..., 4)."""
     return quat / np.linalg.norm(quat, axis=-1, keepdims=True)
-
-
-def _about(folder: Path) -> dict[str, str]:
-    """What an `INDEX.csv` beside the object's folder says of its origin."""
-    return dict((usable_list(folder.parent) or {}).get(folder.name, {}))
 
 
 def _display(
@@ -243,10 +246,17 @@ FORMAT = Format(
     description="DexGraspBench's own format: graspdata/**/*.npy, right Shadow hand",
     sides=("right",),
     joint_names=(JOINT_NAMES,),
+    expected="graspdata/**/*.npy (or **/*.npy), each a pickled dictionary with "
+    + ", ".join((*STAGE_KEYS, "obj_pose", "obj_scale", "obj_path")),
     files=files,
     read=read,
     max_bytes=MAX_BYTES,
     find_object=find_object,
     load_object=load_object,
     protocol="dexgraspbench-1",
+    unknown=(
+        "how many attempts the grasps are of, and how they were chosen",
+        "contacts, contact forces and energies",
+        "the friction and the mass that they were made for",
+    ),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -46,11 +47,12 @@ class ForeignGrasps:
     object_quat_wxyz: FloatArray
     """Its orientation, unit, (N, 4)."""
     hand_pos: FloatArray
-    """Origins of our hand frames in the file's world per stage [m], (N, H, S, 3)."""
+    """Origins of our hand frames in the file's world per stage [m], (N, H, S, 3). S is 3, or 1 of
+    formats that have the grasp alone; the other stages are then made of it (stages.py)."""
     hand_quat_wxyz: FloatArray
     """Unit, (N, H, S, 4)."""
     joints: tuple[FloatArray, ...]
-    """Per hand in the order of the format's `joint_names` [rad], (N, S, J)."""
+    """Per hand in the order of the format's `joint_names`, our signs [rad], (N, S, J)."""
     row: NDArray[np.int64]
     """Number of each grasp within the file, (N,)."""
     several: bool
@@ -76,6 +78,28 @@ def placed(grasps: ForeignGrasps) -> list[Placed]:
     quat = np.round(quat_canonical(grasps.object_quat_wxyz), _POSE_DIGITS) + 0.0
     pairs = zip(grasps.scale.tolist(), quat.tolist(), strict=True)
     return [Placed(scale, tuple(q)) for scale, q in pairs]
+
+
+def files_below(root: Path, folder: str, ending: str) -> list[str]:
+    """Files of an ending below a folder of `root`, hidden ones aside.
+
+    Args:
+        root: What the paths are relative to.
+        folder: Where to look, `.` for all of it.
+        ending: Of the names.
+
+    Returns:
+        Paths in byte order.
+    """
+    found = []
+    for place, folders, names in os.walk(root / folder):
+        folders[:] = sorted(n for n in folders if not n.startswith("."))
+        found += [
+            Path(place, name).relative_to(root).as_posix()
+            for name in names
+            if name.endswith(ending) and not name.startswith(".")
+        ]
+    return sorted(found, key=os.fsencode)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,8 +180,10 @@ class Format:
     """Names of our hand's joints in the order of the files, per hand."""
     files: Callable[[Path], list[str]]
     """Grasp files below a folder, relative to it, in byte order."""
-    read: Callable[[bytes], ForeignGrasps]
-    """The grasps of one file; raises `BadFile`."""
+    expected: str
+    """What the files are called and hold, for the error where none is found."""
+    read: Callable[[bytes, str], ForeignGrasps]
+    """(contents of a file, its path relative to the folder) -> its grasps; raises `BadFile`."""
     max_bytes: int
     """Files larger than this are refused unread."""
     find_object: Callable[[str, Path, Path | None], ObjectSource]
@@ -166,4 +192,8 @@ class Format:
     load_object: Callable[[ObjectSource, PrepareConfig], PreparedObject]
     """Make the object; raises `PrepareFailure`."""
     protocol: str
-    """The protocol by which the other project judges such grasps."""
+    """The protocol to judge such grasps by: the other project's own where this package has it."""
+    made_stages: bool = False
+    """Whether the files have the grasp alone, so that pre-grasp and squeeze are made here."""
+    unknown: tuple[str, ...] = ()
+    """What no file of the format says, one phrase each."""

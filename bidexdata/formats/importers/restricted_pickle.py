@@ -1,4 +1,4 @@
-"""Read pickled dictionaries of arrays without letting the file run anything.
+"""Read pickled dictionaries of arrays, and lists of them, without letting the file run anything.
 
 A pickle is a program. Here its opcodes are checked first (few, known, no length beyond the file),
 and every global that numpy's own pickles name is replaced by a function of this file that builds
@@ -25,7 +25,10 @@ from bidexdata.formats.importers.format import BadFile
 MAX_BYTES = 64 * 2**20
 """Largest file that is read. Source: ours; 64 MiB are 180,000 grasps of one Shadow hand."""
 MAX_OPCODES = 10_000
-"""Most operations of a pickle; a dictionary of ten arrays has about 300."""
+"""Operations that every pickle may have; a dictionary of ten arrays has about 300."""
+BYTES_PER_OPCODE = 4
+"""Beyond them an operation may stand for this many bytes, no fewer. Measured: DexGraspNet's files of
+numbers by name have 8.3 bytes for each, BimanGrasp's 5.2; empty lists in a row have 1."""
 MAX_DEPTH = 8
 """How deep containers may be nested."""
 _OPCODES = frozenset(
@@ -54,17 +57,42 @@ def read_npy_dict(data: bytes) -> dict[str, Any]:
     Raises:
         BadFile: It is something else, damaged, too large, or asks for anything but data.
     """
+    held = _held_objects(data, 0, "a dictionary of a grasp")
+    if not isinstance(held, dict):
+        raise BadFile("it holds an object that is not a dictionary of a grasp")
+    return _plain(held, {}, MAX_DEPTH)
+
+
+def read_npy_dicts(data: bytes) -> list[dict[str, Any]]:
+    """Read what `numpy.save(file, list of dictionaries)` wrote: an object array with one axis.
+
+    Raises:
+        BadFile: It is something else, damaged, too large, or asks for anything but data.
+    """
+    held = _held_objects(data, 1, "a list of grasps")
+    if not isinstance(held, _Objects) or not all(isinstance(part, dict) for part in held.parts):
+        raise BadFile("it holds a list of other things than dictionaries of grasps")
+    done: dict[int, Any] = {}
+    return [_plain(part, done, MAX_DEPTH) for part in held.parts]
+
+
+def _held_objects(data: bytes, axes: int, wanted: str) -> Any:
+    """The one object of a .npy file of Python objects (no axes), or its `_Objects` (one axis)."""
     if len(data) > MAX_BYTES:
         raise BadFile(f"{len(data)} bytes are more than the {MAX_BYTES} that are read of a file")
     stream = io.BytesIO(data)
     shape, dtype = _npy_header(stream)
-    if dtype != np.dtype(object) or shape != ():
+    if dtype != np.dtype(object) or len(shape) != axes:
         what = _shown(f"{shape} of {dtype}")
-        raise BadFile(f"it holds an array {what}, not a dictionary of a grasp")
+        raise BadFile(f"it holds an array {what}, not {wanted}")
     holder = restricted_loads(data[stream.tell() :])
-    if not isinstance(holder, _Held) or not isinstance(holder.value, dict):
-        raise BadFile("it holds an object that is not a dictionary of a grasp")
-    return _plain(holder.value, {}, MAX_DEPTH)
+    if not isinstance(holder, _Held):
+        raise BadFile(f"it holds an object that is not {wanted}")
+    held = holder.value
+    found = (len(held.parts),) if isinstance(held, _Objects) else ()
+    if found != shape:
+        raise BadFile(f"it announces an array {shape} and holds {found}")
+    return held
 
 
 def restricted_loads(data: bytes) -> Any:
@@ -98,13 +126,14 @@ def _npy_header(stream: io.BytesIO) -> tuple[tuple[int, ...], np.dtype]:
 
 def _check_opcodes(data: bytes) -> None:
     # genops never allocates what a length prefix promises: it reads what is there and complains.
+    most = max(MAX_OPCODES, len(data) // BYTES_PER_OPCODE)
     try:
         for count, (opcode, argument, _) in enumerate(pickletools.genops(data)):
             if opcode.name not in _OPCODES:
                 raise BadFile(f"its pickle uses {opcode.name}, which no data needs")
-            if count >= MAX_OPCODES:
-                raise BadFile(f"its pickle has more than {MAX_OPCODES} operations")
-            if opcode.name == "LONG_BINPUT" and (argument or 0) > MAX_OPCODES:
+            if count >= most:
+                raise BadFile(f"its pickle has more than {most} operations")
+            if opcode.name == "LONG_BINPUT" and (argument or 0) > most:
                 raise BadFile("its pickle numbers its parts beyond their count")
             if opcode.name == "FRAME" and (argument or 0) > len(data):
                 raise BadFile("its pickle announces more bytes than the file has")
@@ -175,8 +204,17 @@ class _Dtype:
         return np.dtype(order + self._code)
 
 
+class _Objects:
+    """The parts of an object array with one axis."""
+
+    __slots__ = ("parts",)
+
+    def __init__(self, parts: list[Any]):
+        self.parts = parts
+
+
 class _Held:
-    """An array in the making; in the end the array, or the one object of a 0-d object array."""
+    """An array in the making; in the end the array, or the contents of an object array."""
 
     __slots__ = ("value",)
 
@@ -188,9 +226,11 @@ class _Held:
             raise BadFile("an array has a state that numpy does not write")
         _, shape, dtype, fortran, raw = state
         if dtype.is_object:
-            if shape != () or not isinstance(raw, list) or len(raw) != 1:
+            if not isinstance(raw, list) or shape not in ((), (len(raw),)):
                 raise BadFile("it holds an array of Python objects")
-            self.value = raw[0]
+            if shape == () and len(raw) != 1:
+                raise BadFile("it holds an array of Python objects")
+            self.value = raw[0] if shape == () else _Objects(raw)
         else:
             self.value = _array(raw, dtype, shape, "F" if fortran else "C")
 

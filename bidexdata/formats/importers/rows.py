@@ -3,7 +3,8 @@
 The object frame's origin is the centre of mass of the simulated solid and its unit the solid's box
 diagonal, so the object's pose moves and its scale becomes a size. Floating scenes are moved as a
 whole until the object has the identity pose; on a table the scene is shifted until the object
-stands at x = y = 0. Columns that an import cannot know are left out.
+stands at x = y = 0. Columns that an import cannot know are left out. A row whose joints our hand
+cannot reach has the status `joint_range` and no pose; it is kept as an audit row, not a selected one.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from bidexdata.formats.importers.format import (
     Placed,
     placed,
 )
+from bidexdata.formats.importers.stages import Staged, all_possible, staged
 from bidexdata.frames import quat_canonical, quat_conjugate, quat_multiply, quat_rotate
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import Solid
@@ -36,6 +38,7 @@ COLUMNS = (
     *("hand_pos", "hand_quat_wxyz", "joints", "selected", "audit", "synth_status"),
 )
 """What an import writes. `attempt` numbers the rows of a scene; nothing is known of attempts."""
+_HAND = ("hand_pos", "hand_quat_wxyz")
 
 
 def scenes_of(
@@ -123,19 +126,36 @@ def record_rows(
     made["source_ref"] = np.array(
         [f"{name}#{row}" if g.several else name for name, g in parts for row in g.row], np.str_
     )
-    made["selected"][:], made["audit"][:], made["synth_status"][:] = True, False, Status.OK
     size = np.concatenate([g.scale for g in grasps]) * unit
     made["size"] = size.astype(np.float32)
-    _write_poses(made, grasps, size, obj, setting)
-    for h, order in enumerate(joint_orders(form, hands)):
-        joints = np.concatenate([g.joints[h] for g in grasps])
-        made["joints"][:, h, :, : len(order)] = joints[..., order]
+    parts_of_hands = _staged(grasps, hands, form)
+    possible = all_possible(parts_of_hands)
+    made["selected"][:], made["audit"][:] = possible, ~possible
+    made["synth_status"][:] = np.where(possible, Status.OK, Status.JOINT_RANGE)
+    _write_poses(made, grasps, parts_of_hands, size, obj, setting)
+    for h, part in enumerate(parts_of_hands):
+        made["joints"][:, h, :, : part.joints.shape[-1]] = part.joints
+    for name in ("hand_pos", "hand_quat_wxyz", "joints"):
+        made[name][~possible] = np.nan
     return GraspBatch(header, made)
+
+
+def _staged(
+    grasps: Sequence[ForeignGrasps], hands: Sequence[Hand], form: Format
+) -> tuple[Staged, ...]:
+    """Every stage of each hand, joints in the hand's order."""
+    pos, quat = (np.concatenate([getattr(g, n) for g in grasps]) for n in _HAND)
+    found = []
+    for h, order in enumerate(joint_orders(form, hands)):
+        joints = np.concatenate([g.joints[h] for g in grasps])[..., order]
+        found.append(staged(pos[:, h], quat[:, h], joints, hands[h]))
+    return tuple(found)
 
 
 def _write_poses(
     made: dict[str, np.ndarray],
     grasps: Sequence[ForeignGrasps],
+    hands: Sequence[Staged],
     size: FloatArray,
     obj: Solid,
     setting: Setting,
@@ -143,9 +163,9 @@ def _write_poses(
     def joined(name: str) -> FloatArray:
         return np.concatenate([getattr(g, name) for g in grasps])
 
-    quat, hand_pos, hand_quat = (
-        joined(n) for n in ("object_quat_wxyz", "hand_pos", "hand_quat_wxyz")
-    )
+    quat = joined("object_quat_wxyz")
+    hand_pos = np.stack([hand.pos for hand in hands], axis=1)
+    hand_quat = np.stack([hand.quat_wxyz for hand in hands], axis=1)
     # The file gives where the source's origin is; ours is the centre of mass.
     pos = joined("object_pos") - quat_rotate(quat, size[:, None] * obj.source_origin)
     if setting == "floating":
