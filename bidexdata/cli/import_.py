@@ -18,7 +18,10 @@ _SHOWN = 10
 def import_(
     format_: Annotated[
         str,
-        typer.Argument(metavar="FORMAT", help="dexgraspbench, bodex, dexgraspnet or bimangrasp."),
+        typer.Argument(
+            metavar="FORMAT",
+            help="dexgraspbench, bodex, dexgraspnet, bimangrasp or bimandexgraspbench.",
+        ),
     ],
     path: Annotated[Path, typer.Argument(metavar="PATH", help="The other project's folder.")],
     out: Annotated[Path, typer.Option(metavar="RUN", help="Folder of the run.")],

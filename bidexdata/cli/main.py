@@ -19,6 +19,7 @@ import typer
 
 from bidexdata.cli.bench import bench
 from bidexdata.cli.demo import demo
+from bidexdata.cli.export import export
 from bidexdata.cli.hands import hands
 from bidexdata.cli.import_ import import_
 from bidexdata.cli.info import info
@@ -45,6 +46,7 @@ COMMANDS = {
     "validate": validate,
     "import": import_,
     "pack": pack,
+    "export": export,
     "view": view,
     "render": render,
     "info": info,

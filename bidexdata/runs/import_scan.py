@@ -7,14 +7,14 @@ file does to its reader costs that file alone.
 from __future__ import annotations
 
 import hashlib
-import multiprocessing
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from bidexdata.errors import Contradiction, NotUsable
-from bidexdata.runs.executors import TaskFailure, run_tasks
+from bidexdata.runs.executors import TaskFailure
+from bidexdata.runs.import_reader import read_apart, read_tasks
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.shards import write_atomically
 from bidexdata.runs.worker_limits import limit_memory
@@ -101,10 +101,7 @@ def read_bounded(
     Raises:
         NotUsable: One of them cannot be read now.
     """
-    work = partial(_read_chunk, form_name, root)
-    if multiprocessing.parent_process() is not None:
-        return work(tuple(names))
-    ((_, result),) = run_tasks([tuple(names)], work, executor="processes", workers=1)
+    result = read_apart(tuple(names), partial(_read_chunk, form_name, root))
     if isinstance(result, TaskFailure):
         raise NotUsable(f"reading {names[0]} and the files after it failed: {result.reason}")
     return result
@@ -156,16 +153,13 @@ def _read_all(
 ) -> Iterable[tuple[tuple[str, ...], list[FileRow]]]:
     """Read chunk by chunk; a chunk that ended its worker is read again file by file."""
     work = partial(_scan_chunk, form.name, str(root))
-    # Never in this process, and not on another machine: a worker of Ray has no bound of its own.
-    alone = execution.executor == "inline"
-    how: dict[str, Any] = {"executor": "processes", "workers": 1 if alone else execution.workers}
     again: list[tuple[str, ...]] = []
-    for chunk, result in run_tasks(chunks, work, **how):
+    for chunk, result in read_tasks(chunks, work, execution):
         if isinstance(result, TaskFailure):
             again += [(name,) for name in chunk]
         else:
             yield chunk, result
-    for chunk, result in run_tasks(again, work, **how):
+    for chunk, result in read_tasks(again, work, execution):
         if isinstance(result, TaskFailure):
             yield chunk, [FileRow(chunk[0], reason=f"reading it failed: {result.reason}")]
         else:

@@ -51,7 +51,7 @@ def hand():
 
 def read(folder, content):
     save(folder / "x.npy", content)
-    return FORM.read((folder / "x.npy").read_bytes())
+    return FORM.read((folder / "x.npy").read_bytes(), "x.npy")
 
 
 def one(**changes):
@@ -361,7 +361,7 @@ def test_the_benchmark_s_own_files_are_read(shared):
     files = FORM.files(root)
     assert set(files) == set(results)
     for number, file in enumerate(plain["source_file"].tolist()):
-        grasps = FORM.read((root / file).read_bytes())
+        grasps = FORM.read((root / file).read_bytes(), file)
         np.testing.assert_array_equal(grasps.joints[0][0, 1], plain["grasp_qpos"][number, 7:])
         assert grasps.scale[0] == plain["obj_scale"][number]
 

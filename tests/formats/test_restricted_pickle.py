@@ -12,7 +12,12 @@ import pytest
 
 from bidexdata.formats.importers import restricted_pickle
 from bidexdata.formats.importers.format import BadFile
-from bidexdata.formats.importers.restricted_pickle import read_npy_dict
+from bidexdata.formats.importers.restricted_pickle import (
+    BYTES_PER_OPCODE,
+    MAX_OPCODES,
+    read_npy_dict,
+    read_npy_dicts,
+)
 
 GOOD = {
     "f4": np.arange(6, dtype=np.float32).reshape(2, 3),
@@ -74,6 +79,51 @@ def test_files_of_numpy_1_name_its_modules_otherwise():
     found = read_npy_dict(npy(content.replace(b"numpy._core.", b"numpy.core.")))
     assert found["x"].tolist() == [1, 1, 1]
     assert found["y"] == 2
+
+
+def listed(parts) -> bytes:
+    """A .npy file as `numpy.save(file, list of dictionaries)` writes it."""
+    out = io.BytesIO()
+    np.save(out, np.array([*parts, None], object)[:-1], allow_pickle=True)
+    return out.getvalue()
+
+
+def test_a_list_of_dictionaries_is_read_to_the_bit():
+    rows = [{"qpos": {"a": 0.1 * k, "b": -0.0}, "scale": np.float64(k)} for k in range(5)]
+    found = read_npy_dicts(listed(rows))
+    assert len(found) == 5
+    assert all(same(a, b) for a, b in zip(found, rows, strict=True))
+    assert read_npy_dicts(listed([])) == []
+    assert same(read_npy_dicts(listed([GOOD]))[0], GOOD)
+
+
+def test_one_and_several_are_not_taken_for_each_other():
+    with pytest.raises(BadFile, match=r"array \(2,\) of object, not a dictionary"):
+        read_npy_dict(listed([{}, {}]))
+    with pytest.raises(BadFile, match=r"array \(\) of object, not a list of grasps"):
+        read_npy_dicts(npy(held({})))
+    with pytest.raises(BadFile, match="other things than dictionaries"):
+        read_npy_dicts(listed([{}, 1]))
+    whole = listed([{"a": 1}, {"b": 2}])
+    with pytest.raises(BadFile, match=r"announces an array \(9,\) and holds \(2,\)"):
+        read_npy_dicts(whole.replace(b"(2,)", b"(9,)"))
+    square = np.empty((1, 1), object)
+    square[0, 0] = {}
+    out = io.BytesIO()
+    np.save(out, square, allow_pickle=True)
+    with pytest.raises(BadFile, match=r"array \(1, 1\) of object"):
+        read_npy_dicts(out.getvalue())
+
+
+def test_operations_may_grow_with_the_file_and_no_faster():
+    many = [{"qpos": {f"joint {j}": 0.1 * j for j in range(28)}} for _ in range(800)]
+    data = listed(many)
+    count = sum(1 for _ in pickletools.genops(data[128:]))
+    assert MAX_OPCODES < count < len(data) / BYTES_PER_OPCODE
+    assert len(read_npy_dicts(data)) == 800
+    flood = b"\x80\x04" + b"]" * (BYTES_PER_OPCODE * MAX_OPCODES) + b"."
+    with pytest.raises(BadFile, match="more than 10000 operations"):
+        read_npy_dict(npy(flood))
 
 
 class Payload:

@@ -17,7 +17,7 @@ from bidexdata.formats.release import Release
 from bidexdata.formats.verify import verify_release
 from bidexdata.objects.library import Library
 from bidexdata.objects.library_page import NOT_IMPORTED
-from bidexdata.runs import import_objects, import_scan
+from bidexdata.runs import import_objects, import_reader, import_scan
 from bidexdata.runs.browse import open_browsable
 from bidexdata.runs.import_ import ImportRequest, import_run
 from bidexdata.runs.import_scan import read_files
@@ -333,20 +333,53 @@ def test_nothing_usable_leaves_no_run(copied, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+VICTIM = "graspdata/Two_Boxes/scale0.1_pose000/1.npy"
+_scan_chunk = import_scan._scan_chunk
+
+
+def dying_chunk(form_name, root, names):
+    """`_scan_chunk` in the child, for a file that ends its process."""
+    if VICTIM in names:
+        os._exit(7)
+    return _scan_chunk(form_name, root, names)
+
+
 def test_a_file_that_ends_its_reader_costs_no_other(copied, tmp_path, monkeypatch):
     # A chunk whose worker died is read again file by file.
-    victim = sorted(p.relative_to(copied).as_posix() for p in copied.rglob("*.npy"))[3]
-    read = import_scan.read_file
-
-    def dying(form, root, name):
-        if name == victim:
-            raise MemoryError("no more")
-        return read(form, root, name)
-
-    monkeypatch.setattr(import_scan, "read_file", dying)
+    assert (copied / VICTIM).is_file()
+    monkeypatch.setattr(import_scan, "_scan_chunk", dying_chunk)
     report = import_run(request(copied), tmp_path / "run", execution=HERE)
-    assert [f.file for f in report.failed] == [victim]
-    assert "reading it failed: MemoryError" in report.failed[0].reason
+    assert [f.file for f in report.failed] == [VICTIM]
+    assert report.failed[0].reason == "reading it failed: the worker died (exit code 7)"
+
+
+def test_no_file_is_read_in_the_caller_s_process(bench, tmp_path, monkeypatch):
+    def refused(*_):
+        raise AssertionError("read here")
+
+    monkeypatch.setattr(import_scan, "read_file", refused)
+    assert import_run(request(bench), tmp_path / "run", execution=HERE).rows == N
+
+
+def limit_in_reader(names):
+    """What the operating system allows the process in which files are read."""
+    import resource
+
+    import_scan._scan_chunk("dexgraspbench", "", names)
+    return os.getpid(), resource.getrlimit(resource.RLIMIT_AS)[0]
+
+
+def test_the_reader_has_a_bound_on_memory():
+    process, bound = import_reader.read_apart((), limit_in_reader)
+    assert process != os.getpid()
+    assert bound == import_scan.MEMORY_GIB * 2**30
+
+
+def test_a_reading_that_was_given_up_leaves_no_answer_for_the_next():
+    first = import_reader.in_child([1, 2, 3], abs)
+    next(first)
+    first.close()
+    assert sorted(import_reader.in_child([-4, -5], abs)) == [(-5, 5), (-4, 4)]
 
 
 def test_what_is_too_large_is_not_read(copied, tmp_path, monkeypatch):

@@ -12,9 +12,8 @@ from importlib import import_module
 from bidexdata.errors import UnknownName
 from bidexdata.formats.importers.format import Format
 
-FORMATS = {
-    name: f"{__name__}.{name}" for name in ("dexgraspbench", "bodex", "dexgraspnet", "bimangrasp")
-}
+_NAMES = ("dexgraspbench", "bodex", "dexgraspnet", "bimangrasp", "bimandexgraspbench")
+FORMATS = {name: f"{__name__}.{name}" for name in _NAMES}
 """Name on the command line -> module with `FORMAT`."""
 
 

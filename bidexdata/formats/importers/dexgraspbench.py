@@ -82,7 +82,7 @@ def read(data: bytes, name: str) -> ForeignGrasps:
         raise BadFile(bad[0] if bad else "it holds no grasp")
     quat = unit_quats(qpos[row, :, 3:7])
     return ForeignGrasps(
-        object_name=_object_name(found),
+        object_name=named_object(found),
         scale=scale[row],
         object_pos=pose[row, :3],
         object_quat_wxyz=unit_quats(pose[row, 3:]),
@@ -152,7 +152,12 @@ def load_object(source: ObjectSource, config: PrepareConfig) -> PreparedObject:
     return assembled(source.object_id, solid, display, provenance, config)
 
 
-def _object_name(found: dict[str, Any]) -> str:
+def named_object(found: dict[str, Any]) -> str:
+    """How a file names its object.
+
+    Raises:
+        BadFile: It does not.
+    """
     name = found.get("obj_path")
     if not isinstance(name, str) or not name.strip("/ "):
         raise BadFile("it has no text obj_path")

@@ -56,7 +56,7 @@ def staged(pos: FloatArray, quat_wxyz: FloatArray, joints: FloatArray, hand: Han
     """
     told = joints[:, : GRASP + 1]
     outside = np.maximum(hand.joint_lower - told, told - hand.joint_upper)
-    possible = (outside <= MOVED_TO_EDGE).all(axis=(1, 2))
+    possible = np.asarray((outside <= MOVED_TO_EDGE).all(axis=(1, 2)))
     if joints.shape[1] == 1:
         pos, quat_wxyz, joints = _made(pos[:, 0], quat_wxyz[:, 0], joints[:, 0], hand)
     moved = joints.copy()
