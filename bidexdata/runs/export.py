@@ -107,7 +107,7 @@ def _write(
     from bidexdata.formats.exporters.plain_pickle import save_dictionary
 
     written, skipped, objects = 0, {}, []
-    most = release.figures["selected_rows"] if limit is None else limit
+    most = min(release.figures["selected_rows"], limit or release.figures["selected_rows"])
     with Progress(most, "grasp written", quiet=quiet) as progress:
         for batch in release.batches(split=split):
             good, bad = _usable(batch)

@@ -6,8 +6,10 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from made_dexgraspbench import made_dexgraspbench
+from made_named_qpos import made_bodex, made_named
 
 from bidexdata.cli.main import COMMANDS, run
 from bidexdata.objects.config import PrepareConfig, SdfConfig, SurfaceConfig
@@ -131,3 +133,61 @@ def test_what_cannot_be_done_is_one_sentence(arguments, code, says, tmp_path, ca
     assert out == ""
     assert says in err
     assert len(err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("form", ["dexgraspnet", "bimangrasp", "bodex"])
+def test_other_formats_become_runs_and_say_what_is_not_known(form, tmp_path, capsys):
+    from bidexdata.formats.importers import load_format
+
+    source = tmp_path / "source"
+    made_bodex(source) if form == "bodex" else made_named(source, form)
+    out = tmp_path / "run"
+    words = ["import", form, str(source), "--out", str(out), "--hand", "capsule"]
+    assert run([*words, "--executor", "inline", "--json", "--quiet"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert (data["files"], data["files_failed"], data["objects"]) == (2, 0, 2)
+    assert data["by_status"] == {"ok": data["n"]}
+    known = load_format(form)
+    assert data["unknown"][:-1] == list(known.unknown)
+    assert data["unknown"][-1].startswith("licence of 2 of 2 objects")
+    assert any("made here" in u for u in data["unknown"]) == known.made_stages
+    assert run([*words, "--executor", "inline"]) == 0
+    text = capsys.readouterr().out
+    assert all(f"not known: {phrase}" in text for phrase in data["unknown"])
+    made = json.loads((out / "run.json").read_text())["config"].get("made_stages")
+    assert made == ({"palm": 0.01, "joints": 0.1} if known.made_stages else None)
+
+
+def test_grasps_that_the_hand_cannot_take_are_counted_and_packed_as_audit_rows(tmp_path, capsys):
+    source = made_named(tmp_path / "source", "dexgraspnet")
+    file = source / "dataset" / "brick.npy"
+    rows = np.load(file, allow_pickle=True)
+    rows[0]["qpos"]["robot0:FFJ1"] = -52.0
+    np.save(file, rows, allow_pickle=True)
+    out, release = tmp_path / "run", tmp_path / "release"
+    words = ["import", "dexgraspnet", str(source), "--out", str(out), "--hand", "capsule"]
+    assert run([*words, "--executor", "inline"]) == 0
+    assert "without a pose: 1 joint_range (joints lie outside" in capsys.readouterr().out
+    packed = ["pack", str(out), "--out", str(release), "--name", "a", "--version", "1.0.0"]
+    assert run([*packed, "--quiet", "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert (figures["n"], figures["selected_rows"], figures["audit_rows"]) == (12, 11, 1)
+    assert run(["verify", str(release), "--full", "--quiet"]) == 0
+    assert run(["info", str(release)]) == 0
+    assert "11 selected rows, 1 audit row" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("form", ["dexgraspbench", "dexgraspnet", "bimangrasp", "bodex"])
+def test_no_grasp_found_says_what_was_expected(form, tmp_path, capsys):
+    from bidexdata.formats.importers import load_format
+
+    expected = load_format(form).expected
+    words = ["import", form, str(tmp_path / "in"), "--out", str(tmp_path / "run")]
+    (tmp_path / "in" / "a").mkdir(parents=True)
+    assert run([*words, "--executor", "inline"]) == 3
+    assert f"expected {expected}" in capsys.readouterr().err
+    np.save(tmp_path / "in" / "a" / "b_grasp.npy", np.ones(3))
+    assert run([*words, "--executor", "inline"]) == 6
+    out, err = capsys.readouterr()
+    assert "it holds an array (3,) of float64, not" in out
+    assert err.strip().endswith(f"expected {expected}")

@@ -178,7 +178,8 @@ def numbers(found: dict[str, Any], key: str) -> FloatArray:
         raise BadFile(f"its {key} is not numbers") from err
     if value.dtype.kind not in "fiu":
         raise BadFile(f"its {key} is not numbers")
-    return value.astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        return value.astype(np.float64)
 
 
 def _rows(found: dict[str, Any], key: str, count: int, width: int) -> FloatArray:
