@@ -129,7 +129,8 @@ def import_run(
     Raises:
         UnknownName: There is no such format or hand.
         PathNotFound: There is no such folder.
-        NotUsable: The folder holds no file of the format, or the hand has other joints.
+        NotUsable: The folder holds no file of the format, the format has no such setting, or the
+            hand has other joints.
         ConfigConflict: `out` is a run of something else.
         Contradiction: `out` is this run, and its library is damaged beyond repair.
     """
@@ -202,6 +203,11 @@ def _file_names(form: Format, request: ImportRequest) -> list[str]:
         raise PathNotFound(request.path, f"a folder of {form.name}")
     if request.objects is not None and not request.objects.is_dir():
         raise PathNotFound(request.objects, "the folder of the objects")
+    if request.setting not in form.settings:
+        raise NotUsable(
+            f"--setting {request.setting}: {form.name} says nothing of the object's pose in the "
+            f"world; use {' or '.join(form.settings)}"
+        )
     names = form.files(request.path)[: request.limit]
     if not names:
         raise NotUsable(

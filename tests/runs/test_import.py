@@ -404,6 +404,11 @@ def test_what_does_not_fit_is_one_sentence(bench, tmp_path):
         (request(bench / "objects"), NotUsable, "holds no file that the format"),
         (request(bench, format="graspnet"), UnknownName, "import format"),
         (request(bench, hand="capsule,capsule"), NotUsable, "holds one hand"),
+        (
+            request(bench, format="dexgraspnet", setting="tabletop"),
+            NotUsable,
+            "dexgraspnet says nothing of the object's pose in the world; use floating",
+        ),
     ):
         with pytest.raises(error, match=said):
             import_run(asked, tmp_path / "run", execution=HERE)

@@ -77,6 +77,7 @@ FORMAT = Format(
     load_object=load_object,
     protocol="paper-1",
     made_stages=True,
+    settings=("floating",),
     unknown=(
         "pre-grasp and squeeze: made here, palm 10 mm back and on, closing joints 0.1 rad open and closed",
         "how many attempts the grasps are of, and how they were chosen",

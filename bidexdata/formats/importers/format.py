@@ -19,6 +19,7 @@ from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.identity import named_id
 from bidexdata.objects.prepared import PreparedObject
 from bidexdata.objects.readers.inside import lies_inside, regular_blocks, regular_size
+from bidexdata.record.scene import Setting
 
 FloatArray = NDArray[np.float64]
 _POSE_DIGITS = 4
@@ -195,5 +196,7 @@ class Format:
     """The protocol to judge such grasps by: the other project's own where this package has it."""
     made_stages: bool = False
     """Whether the files have the grasp alone, so that pre-grasp and squeeze are made here."""
+    settings: tuple[Setting, ...] = ("floating", "tabletop")
+    """What its scenes can be: where the files have no pose of the object, only `floating`."""
     unknown: tuple[str, ...] = ()
     """What no file of the format says, one phrase each."""
