@@ -1,229 +1,257 @@
 """The training form: `grasps.h5`, contiguous datasets that `numpy` maps at their byte offset.
 
-Derived from the Parquet tables, row for row, and rebuildable from them. Group
-`/<configuration>/<split>` holds `values` (N, W) float32, one row per grasp, whose columns the
-attribute `columns` names, and one dataset per integer or boolean column (`suc_*`: -1 = not
-tested). Text columns stay in Parquet. Contiguous data carry no checksum of their own; the
-manifest's sha256 does.
+Derived from the Parquet tables, row for row, and rebuildable from them; a release of the form
+`hdf5` has its rows here alone. `hdf5_layout` says what stands where. Up to schema 1.2 `values` held
+the float columns of contacts too.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.errors import Contradiction
+from bidexdata.errors import Contradiction, UnknownName
 from bidexdata.formats import parquet
-from bidexdata.formats.tables import CONFIGURATIONS, column_field
-from bidexdata.record import FIELDS, Header
-from bidexdata.record.batch import SCHEMA_VERSION, field_metadata
+from bidexdata.formats.hdf5_layout import CONTACTS as CONTACTS
+from bidexdata.formats.hdf5_layout import INTEGER_LISTS as INTEGER_LISTS
+from bidexdata.formats.hdf5_layout import TRAINING_FILE as TRAINING_FILE
+from bidexdata.formats.hdf5_layout import VALUES as VALUES
+from bidexdata.formats.hdf5_layout import MappedValues as MappedValues
+from bidexdata.formats.hdf5_layout import (
+    fill_floats,
+    float_layout,
+    group_name,
+    header_of_schema,
+    integer_values,
+    layout_slices,
+    split_files,
+    text_columns,
+)
+from bidexdata.formats.hdf5_writer import about_release as about_release
+from bidexdata.formats.hdf5_writer import rebuild_training_form as rebuild_training_form
+from bidexdata.formats.hdf5_writer import write_training_form as write_training_form
+from bidexdata.formats.tables import column_field
 
 if TYPE_CHECKING:
     import h5py
     import pyarrow as pa
 
-TRAINING_FILE = "grasps.h5"
-INTEGER_LISTS = tuple(
-    f.name
-    for f in FIELDS.values()
-    if f.table in ("grasps", "contacts") and f.axes and f.dtype.startswith("int")
-)
-"""Integer columns with more than one value per grasp."""
+_FLOAT = np.dtype("<f4")
 
 
-class MappedValues(NamedTuple):
-    """Float columns of one configuration and split."""
+def map_values(
+    root: Path, configuration: str, split: str, part: str = VALUES
+) -> MappedValues | None:
+    """Map float columns from `grasps.h5`; None where the release has no training form.
 
-    values: NDArray[np.float32]
-    """(N, W), mapped from disk or in memory."""
-    columns: dict[str, tuple[slice, tuple[int, ...]]]
-    """Column name -> its slice of W and its shape after N."""
-
-
-def write_training_form(root: Path, splits: tuple[str, ...]) -> None:
-    """Write `grasps.h5` from the Parquet tables under `root`."""
-    import h5py
-
-    # Without track_times the same rows give the same bytes.
-    with h5py.File(root / TRAINING_FILE, "w", libver=("v110", "v114"), track_order=True) as file:
-        file.attrs["schema_version"] = SCHEMA_VERSION
-        for configuration in CONFIGURATIONS:
-            for split in splits:
-                group = file.create_group(f"{configuration}/{split}", track_order=True)
-                _write_group(root, group, configuration, split)
-
-
-def map_values(root: Path, configuration: str, split: str) -> MappedValues | None:
-    """Map the float columns from `grasps.h5`; None where the release has no training form.
+    Args:
+        root: Release folder.
+        configuration: `selected` or `audit`.
+        split: One split.
+        part: `values` (columns of grasps) or `contacts`; a file of schema 1.2 or before gives both
+            for either.
 
     Raises:
         Contradiction: The file cannot be read as the training form.
     """
-    import h5py
-
     path = root / TRAINING_FILE
     if not path.is_file():
         return None
-    try:
-        with h5py.File(path, "r") as file:
-            dataset: Any = file[f"{configuration}/{split}/values"]
-            layout = json.loads(dataset.attrs["columns"])
-            shape, offset, dtype = dataset.shape, dataset.id.get_offset(), dataset.dtype
-    except (OSError, KeyError, ValueError) as err:
-        raise Contradiction(f"{path}: not a training form ({err})") from err
-    columns = layout_slices(layout)
-    if 0 in shape:
-        return MappedValues(np.zeros(shape, np.float32), columns)
-    if offset is None or dtype != np.dtype("<f4"):
-        raise Contradiction(f"{path}: values are not contiguous little-endian float32")
-    return MappedValues(np.memmap(path, "<f4", "r", offset, shape), columns)
+    with _opened(path) as file:
+        group: Any = file[group_name(configuration, split)]
+        return _mapped_floats(path, group[part if part in group else VALUES])
 
 
-def read_values(root: Path, configuration: str, split: str) -> MappedValues:
-    """Read the same array from the Parquet tables into memory."""
-    files = list(_pairs(root, configuration, split))
-    layout = _layout(*(parquet.read_schema(path) for path in files[0]))
-    rows = sum(sum(parquet.row_counts(grasps)) for grasps, _ in files)
-    width = sum(entry["width"] for entry in layout)
-    values = np.empty((rows, width), np.float32)
+def map_columns(
+    root: Path, configuration: str, split: str, names: Sequence[str]
+) -> dict[str, NDArray[Any]]:
+    """Give float and integer columns of grasps and contacts by name, (N, ...) each.
+
+    Mapped from the training form; read from Parquet into memory where there is none. Booleans are
+    int8, and -1 where the table has null.
+
+    Raises:
+        UnknownName: No float or integer column is called so.
+        Contradiction: The file cannot be read as the training form.
+    """
+    path = root / TRAINING_FILE
+    if not path.is_file():
+        return _read_columns(root, configuration, split, names)
+    with _opened(path) as file:
+        group: Any = file[group_name(configuration, split)]
+        parts = [_mapped_floats(path, group[p]) for p in (VALUES, CONTACTS) if p in group]
+        floats = {n: (part.values, *part.columns[n]) for part in parts for n in part.columns}
+        others = [n for n in group if n not in (VALUES, CONTACTS) and _is_integer(group[n])]
+        found = {}
+        for name in names:
+            if name in floats:
+                values, place, shape = floats[name]
+                found[name] = values[:, place].reshape(len(values), *shape)
+            elif name in others:
+                found[name] = _mapped(path, group[name])
+            else:
+                raise UnknownName("column", name, sorted([*floats, *others]))
+    return found
+
+
+def read_values(root: Path, configuration: str, split: str, part: str = VALUES) -> MappedValues:
+    """Read what `map_values` maps from the Parquet tables into memory."""
+    table = "contacts" if part == CONTACTS else "grasps"
+    files = split_files(root, table, configuration, split)
+    layout = float_layout(parquet.read_schema(files[0]))
+    names = [entry["name"] for entry in layout]
+    rows = sum(sum(parquet.row_counts(file)) for file in files)
+    values = np.empty((rows, sum(entry["width"] for entry in layout)), np.float32)
     at = 0
-    for tables in _groups(files):
-        n = tables[0].num_rows
-        _fill(values[at : at + n], layout, tables)
-        at += n
+    for file in files:
+        for group in parquet.read_groups(file, names):
+            fill_floats(values[at : at + group.num_rows], layout, group)
+            at += group.num_rows
     return MappedValues(values, layout_slices(layout))
 
 
 def read_integer_lists(
     root: Path, configuration: str, split: str, names: Sequence[str]
 ) -> dict[str, NDArray[np.integer]]:
-    """Read integer list columns (`INTEGER_LISTS`) from the Parquet tables into memory."""
-    if not names:
-        return {}
-    found: dict[str, list[np.ndarray]] = {name: [] for name in names}
-    for tables in _groups(list(_pairs(root, configuration, split))):
-        header = _header(tables[0].schema)
-        for name in names:
-            column = column_field(name)
-            values = _integer_values(_column(tables, name), np.dtype(column.dtype))
-            found[name].append(values.reshape(-1, *header.shape(column)))
-    return {name: np.concatenate(parts) for name, parts in found.items()}
+    """Read integer list columns (`INTEGER_LISTS`): mapped, or from Parquet into memory."""
+    return map_columns(root, configuration, split, names) if names else {}
 
 
-def layout_slices(layout: list[dict[str, Any]]) -> dict[str, tuple[slice, tuple[int, ...]]]:
-    """Turn the stored layout into slices of W."""
-    out, at = {}, 0
-    for entry in layout:
-        out[entry["name"]] = (slice(at, at + entry["width"]), tuple(entry["shape"]))
-        at += entry["width"]
-    return out
+def count_rows(root: Path, configuration: str, split: str) -> int:
+    """Rows of one split, from the training form.
+
+    Raises:
+        Contradiction: The file cannot be read as the training form.
+    """
+    with _opened(root / TRAINING_FILE) as file:
+        dataset: Any = file[f"{group_name(configuration, split)}/{VALUES}"]
+        return len(dataset)
 
 
-def _write_group(root: Path, group: h5py.Group, configuration: str, split: str) -> None:
-    files = list(_pairs(root, configuration, split))
-    schemas = tuple(parquet.read_schema(path) for path in files[0])
-    rows = sum(sum(parquet.row_counts(grasps)) for grasps, _ in files)
-    layout = _layout(*schemas)
-    width = sum(entry["width"] for entry in layout)
-    values = group.create_dataset("values", (rows, width), "<f4")
-    values.attrs["columns"] = json.dumps(layout, sort_keys=True)
-    others = {name: _integer_dataset(group, schemas, name, rows) for name in _integers(*schemas)}
-    at = 0
-    for tables in _groups(files):
-        n = tables[0].num_rows
-        block = np.empty((n, width), np.float32)
-        _fill(block, layout, tables)
-        values[at : at + n] = block
-        for name, dataset in others.items():
-            block = _integer_values(_column(tables, name), dataset.dtype)
-            dataset[at : at + n] = block.reshape(n, *dataset.shape[1:])
-        at += n
+def read_rows(
+    root: Path,
+    table: str,
+    configuration: str,
+    split: str,
+    schema: pa.Schema,
+    low: int,
+    high: int,
+) -> pa.Table:
+    """Read rows [low, high) of a row table from a file that holds the rows alone.
 
+    Args:
+        root: Release folder.
+        table: `grasps`, `contacts` or `verdicts/<protocol>-<test>`.
+        configuration: `selected` or `audit`.
+        split: One split.
+        schema: Columns to read, as the Parquet table has them.
+        low: First row.
+        high: Row behind the last.
 
-def _pairs(root: Path, configuration: str, split: str) -> Iterator[tuple[Path, Path]]:
-    suffix = "" if configuration == "selected" else f"_{configuration}"
-    for grasps in sorted((root / f"grasps{suffix}").glob(f"{split}-*.parquet")):
-        yield grasps, root / f"contacts{suffix}" / grasps.name
-
-
-def _groups(files: list[tuple[Path, Path]]) -> Iterator[tuple[pa.Table, pa.Table]]:
-    for grasps, contacts in files:
-        yield from zip(parquet.read_groups(grasps), parquet.read_groups(contacts), strict=True)
-
-
-def _layout(*schemas: pa.Schema) -> list[dict[str, Any]]:
+    Raises:
+        Contradiction: The file is damaged, or holds no rows of its own.
+    """
     import pyarrow as pa
 
-    header = _header(schemas[0])
-    found = []
-    for schema in schemas:
+    path = root / TRAINING_FILE
+    with _opened(path) as file:
+        main: Any = file[group_name(configuration, split)]
+        group: Any = file[group_name(configuration, split, table)]
+        floats = _mapped_floats(path, group[CONTACTS if table == "contacts" else VALUES])
+        arrays = []
         for field in schema:
-            kind = field.type.value_type if pa.types.is_fixed_size_list(field.type) else field.type
-            if pa.types.is_float32(kind):
-                column = column_field(field.name)
-                shape = header.shape(column)
-                width = int(np.prod(shape))
-                entry = {"name": field.name, "shape": list(shape), "width": width}
-                found.append(
-                    {**entry, **{k: v for k, v in field_metadata(column).items() if k != "shape"}}
-                )
-    return found
+            if field.name in floats.columns:
+                place, _ = floats.columns[field.name]
+                values = floats.values[low:high, place]
+            elif pa.types.is_string(field.type):
+                values = main[field.name][low:high]  # grasp_id stands with the grasps alone
+            else:
+                values = group[field.name][low:high]
+            arrays.append(_arrow_array(np.asarray(values), field))
+    return pa.Table.from_arrays(arrays, schema=schema)
 
 
-def _header(schema: pa.Schema) -> Header:
-    return Header.from_json((schema.metadata or {})[b"bidexdata"])
-
-
-def _integers(*schemas: pa.Schema) -> list[str]:
+def _arrow_array(values: np.ndarray, field: pa.Field) -> pa.Array:
     import pyarrow as pa
 
-    found = []
-    for schema in schemas:
-        for field in schema:
-            kind = field.type.value_type if pa.types.is_fixed_size_list(field.type) else field.type
-            if pa.types.is_integer(kind) or pa.types.is_boolean(kind):
-                found.append(field.name)
-    return found
+    kind = field.type
+    if pa.types.is_string(kind):
+        return pa.array([v.decode() for v in values.tolist()], kind)
+    if pa.types.is_boolean(kind):
+        return pa.array(values == 1, kind, mask=values < 0 if field.nullable else None)
+    flat = np.ascontiguousarray(values).reshape(-1)
+    if pa.types.is_fixed_size_list(kind):
+        return pa.FixedSizeListArray.from_arrays(pa.array(flat, kind.value_type), type=kind)
+    return pa.array(flat, kind)
 
 
-def _integer_dataset(
-    group: h5py.Group, schemas: tuple[pa.Schema, ...], name: str, rows: int
-) -> h5py.Dataset:
-    column = column_field(name)
-    shape = _header(schemas[0]).shape(column)
-    dtype = "int8" if column.dtype == "bool" else column.dtype
-    dataset = group.create_dataset(name, (rows, *shape), dtype)
-    for key, text in field_metadata(column).items():
-        dataset.attrs[key] = text
-    return dataset
+@contextmanager
+def _opened(path: Path) -> Iterator[h5py.File]:
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except (OSError, KeyError, ValueError, RuntimeError) as err:
+        raise Contradiction(f"{path}: not a training form ({err})") from err
 
 
-def _fill(out: np.ndarray, layout: list[dict[str, Any]], tables: tuple[pa.Table, ...]) -> None:
-    at = 0
-    for entry in layout:
-        column = _column(tables, entry["name"]).combine_chunks()
-        flat = column.flatten() if entry["shape"] else column
-        values = flat.to_numpy(zero_copy_only=False)
-        out[:, at : at + entry["width"]] = values.reshape(len(out), entry["width"])
-        at += entry["width"]
+def _mapped_floats(path: Path, dataset: h5py.Dataset) -> MappedValues:
+    columns = layout_slices(json.loads(dataset.attrs["columns"]))  # pyright: ignore[reportArgumentType]
+    if dataset.dtype != _FLOAT:
+        raise Contradiction(f"{path}: {dataset.name} is not little-endian float32")
+    return MappedValues(_mapped(path, dataset), columns)
 
 
-def _integer_values(column: pa.ChunkedArray, dtype: np.dtype) -> np.ndarray:
+def _mapped(path: Path, dataset: h5py.Dataset) -> NDArray[Any]:
+    shape, dtype, offset = dataset.shape, dataset.dtype, dataset.id.get_offset()
+    if 0 in shape:
+        return np.zeros(shape, dtype)
+    if offset is None or dtype.byteorder == ">":
+        raise Contradiction(f"{path}: {dataset.name} is not contiguous and little-endian")
+    return np.memmap(path, dtype, "r", offset, shape)
+
+
+def _is_integer(dataset: Any) -> bool:
+    dtype = getattr(dataset, "dtype", None)  # groups have none
+    return dtype is not None and dtype.kind == "i"
+
+
+def _read_columns(
+    root: Path, configuration: str, split: str, names: Sequence[str]
+) -> dict[str, NDArray[Any]]:
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    known: list[str] = []
+    for table in ("grasps", "contacts"):
+        files = split_files(root, table, configuration, split)
+        schema = parquet.read_schema(files[0])
+        header, texts = header_of_schema(schema), text_columns(schema)
+        here = [n for n in schema.names if n not in texts]
+        known += here
+        mine = [n for n in names if n in here]
+        for file in files if mine else ():
+            for group in parquet.read_groups(file, mine):
+                for name in mine:
+                    column = column_field(name)
+                    values = _numbers(group.column(name), column.dtype)
+                    parts[name].append(values.reshape(-1, *header.shape(column)))
+    for name in names:
+        if name not in known:
+            raise UnknownName("column", name, sorted(known))
+    return {name: np.concatenate(found) for name, found in parts.items()}
+
+
+def _numbers(column: pa.ChunkedArray, dtype: str) -> np.ndarray:
     import pyarrow as pa
 
+    if dtype != "float32":
+        return integer_values(column, np.dtype("int8" if dtype == "bool" else dtype))
     array = column.combine_chunks()
-    if pa.types.is_fixed_size_list(array.type):
-        width = array.type.list_size
-        return array.flatten().to_numpy(zero_copy_only=False).reshape(-1, width).astype(dtype)
-    if pa.types.is_boolean(array.type):
-        array = array.cast(pa.int8()).fill_null(-1)
-    return array.to_numpy(zero_copy_only=False).astype(dtype)
-
-
-def _column(tables: tuple[pa.Table, ...], name: str) -> pa.ChunkedArray:
-    return next(t.column(name) for t in tables if name in t.column_names)
+    flat = array.flatten() if pa.types.is_fixed_size_list(array.type) else array
+    return flat.to_numpy(zero_copy_only=False)

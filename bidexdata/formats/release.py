@@ -1,7 +1,8 @@
 """Release: read a release folder as batches, tables, solids and clouds.
 
-Opening reads the manifest only. Rows are read row group by row group with page checksums
-verified; `verify.verify_release` is what checks every byte.
+Opening reads the manifest only. Rows are read row group by row group, from Parquet with page
+checksums verified, or from `grasps.h5` where they stand in it alone; `verify.verify_release` is
+what checks every byte.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.errors import Contradiction, UnknownName
-from bidexdata.formats import parquet
+from bidexdata.formats import hdf5, parquet, tables
 from bidexdata.formats.clouds import CLOUDS, open_cloud
 from bidexdata.formats.manifest import MANIFEST, read_manifest
 from bidexdata.formats.rows import ReleaseRows as ReleaseRows
@@ -35,6 +36,7 @@ from bidexdata.record.fields import columns_of_table
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from bidexdata.formats.row_index import RowIndex
     from bidexdata.objects.prepared import Solid
 
 _KEYS = {"name", "version", "figures", "default_protocol", "tests", "configurations", "splits"}
@@ -110,6 +112,12 @@ class Release:
         return self.manifest.get("other_figures", {})
 
     @property
+    def form(self) -> str:
+        """Where the rows stand: `parquet`, `hdf5`, or `both` (Parquet and the training form)."""
+        trained = hdf5.TRAINING_FILE in self.manifest["files"]
+        return self.manifest.get("form", "both" if trained else "parquet")
+
+    @property
     def configurations(self) -> tuple[str, ...]:
         """`selected` (default) and `audit`."""
         return tuple(self.manifest["configurations"])
@@ -174,20 +182,108 @@ class Release:
     def table_files(self, table: str, configuration: str, split: str | None = None) -> list[Path]:
         """Parquet files of a row table in reading order: splits as in the manifest, then parts.
 
+        None where the rows stand in `grasps.h5` alone; `row_groups` reads either form.
+
         Args:
             table: `grasps`, `contacts` or `verdicts/<protocol>-<test>`.
             configuration: `selected` or `audit`.
             split: One split; all when omitted.
         """
+        self._check_place(configuration, split)
+        return [
+            path
+            for name in self._chosen(split)
+            for path in hdf5.split_files(self.path, table, configuration, name)
+        ]
+
+    def table_schema(self, table: str, configuration: str = "selected") -> pa.Schema:
+        """Arrow schema of a row table, whatever the form.
+
+        Raises:
+            Contradiction: The file is damaged.
+        """
+        files = self.table_files(table, configuration)
+        return parquet.read_schema(files[0]) if files else self._own_schema(table)
+
+    def row_groups(
+        self,
+        table: str,
+        configuration: str = "selected",
+        split: str | None = None,
+        columns: Sequence[str] | None = None,
+    ) -> Iterator[pa.Table]:
+        """Yield the rows of a row table a row group at a time, in order, whatever the form.
+
+        All row tables of a configuration come in equal groups. There is at least one, which may be
+        empty.
+
+        Args:
+            table: `grasps`, `contacts` or `verdicts/<protocol>-<test>`.
+            configuration: `selected` or `audit`.
+            split: One split; all when omitted.
+            columns: Which; all when omitted.
+
+        Raises:
+            UnknownName: No such split or configuration.
+            Contradiction: A file is damaged.
+        """
+        files = self.table_files(table, configuration, split)
+        for file in files:
+            yield from parquet.read_groups(file, columns)
+        for name in () if files else self._chosen(split):
+            rows = hdf5.count_rows(self.path, configuration, name)
+            for low in range(0, max(rows, 1), parquet.ROW_GROUP):
+                high = min(low + parquet.ROW_GROUP, rows)
+                yield self.hdf5_rows(table, configuration, name, low, high, columns)
+
+    def hdf5_rows(
+        self,
+        table: str,
+        configuration: str,
+        split: str,
+        low: int,
+        high: int,
+        columns: Sequence[str] | None = None,
+    ) -> pa.Table:
+        """Read rows [low, high) of one split of a row table from `grasps.h5`, form `hdf5` only."""
+        schema = self._own_schema(table)
+        if columns is not None:
+            fields = [schema.field(name) for name in columns]
+            schema = tables.with_fields(schema, fields)
+        return hdf5.read_rows(self.path, table, configuration, split, schema, low, high)
+
+    def _own_schema(self, table: str) -> pa.Schema:
+        kind = table.partition("/")[0]
+        make = {
+            "grasps": tables.grasps_schema,
+            "contacts": tables.contacts_schema,
+            "verdicts": tables.verdicts_schema,
+        }[kind]
+        schema = make(self.header)
+        return tables.with_fields(schema, [f for f in schema if not self.header.lacks(f.name)])
+
+    def _chosen(self, split: str | None) -> tuple[str, ...]:
+        return (split,) if split is not None else self.split_names
+
+    def _check_place(self, configuration: str, split: str | None) -> None:
         if configuration not in CONFIGURATIONS:
             raise UnknownName("configuration", configuration, CONFIGURATIONS)
         if split is not None and split not in self.split_names:
             raise UnknownName("split", split, self.split_names)
-        first, _, rest = table.partition("/")
-        suffix = "" if configuration == "selected" else f"_{configuration}"
-        folder = self.path / f"{first}{suffix}" / rest
-        chosen = (split,) if split is not None else self.split_names
-        return [p for name in chosen for p in sorted(folder.glob(f"{name}-*.parquet"))]
+
+    def row_index(self, configuration: str = "selected", split: str | None = None) -> RowIndex:
+        """Which rows belong to which scene and object; made once per configuration and split."""
+        from bidexdata.formats.row_index import RowIndex
+
+        self._check_place(configuration, split)
+        place = (configuration, split)
+        if place not in self._row_indexes:
+            self._row_indexes[place] = RowIndex(self, *place)
+        return self._row_indexes[place]
+
+    @cached_property
+    def _row_indexes(self) -> dict[tuple[str, str | None], RowIndex]:
+        return {}
 
     def index(
         self,
@@ -198,14 +294,14 @@ class Release:
         """Scalar columns of the grasps table: ids, sizes, flags, energies, `suc_*`, metrics."""
         import pyarrow as pa
 
-        files = self.table_files("grasps", configuration, split)
-        schema = parquet.read_schema(files[0])
+        self._check_place(configuration, split)
+        schema = self.table_schema("grasps", configuration)
         scalar = [f.name for f in schema if not pa.types.is_fixed_size_list(f.type)]
         for name in columns or ():
             if name not in scalar:
                 raise UnknownName("scalar column", name, scalar)
         names = list(columns) if columns is not None else scalar
-        return pa.concat_tables([parquet.read_table(file, names) for file in files])
+        return pa.concat_tables(self.row_groups("grasps", configuration, split, names))
 
     def grasps(
         self,
@@ -269,27 +365,48 @@ class Release:
         *,
         object_id: str | None = None,
     ) -> Iterator[GraspBatch]:
-        """Yield what `grasps` gives, one row group at a time; at least one batch per file read."""
+        """Yield what `grasps` gives, one row group at a time; at least one batch."""
+        self._check_place(configuration, split)
         key = (protocol or self.default_protocol, test)
-        tables = ["grasps", "contacts"]
+        names = ["grasps", "contacts"]
         if key in self.protocols:
-            tables.append("verdicts/" + "-".join(key))
-        columns = [n for n in GRASP_COLUMNS if not self.header.lacks(n)]
-        for files in zip(*(self.table_files(t, configuration, split) for t in tables), strict=True):
-            groups = None
-            if object_id is not None:
-                groups = parquet.groups_with(files[0], "object_id", object_id, object_id)
-            wanted = [columns, None, None][: len(files)]
-            streams = [
-                parquet.read_groups(f, c, groups) for f, c in zip(files, wanted, strict=True)
-            ]
-            for parts in zip(*streams, strict=True):
-                batch = self._join(files, parts)
-                if object_id is not None:
-                    batch = batch.select(batch["object_id"] == object_id)
-                yield batch
+            names.append("verdicts/" + "-".join(key))
+        columns = [[n for n in GRASP_COLUMNS if not self.header.lacks(n)], None, None]
+        wanted = list(zip(names, columns, strict=False))
+        if object_id is not None:
+            yield from self._object_batches(object_id, configuration, split, wanted)
+            return
+        streams = [self.row_groups(t, configuration, split, c) for t, c in wanted]
+        for parts in zip(*streams, strict=True):
+            yield self.join([self.path / n for n in names], parts)
 
-    def _join(self, files: Sequence[Path], parts: Sequence[pa.Table]) -> GraspBatch:
+    def _object_batches(
+        self,
+        object_id: str,
+        configuration: str,
+        split: str | None,
+        wanted: Sequence[tuple[str, Sequence[str] | None]],
+    ) -> Iterator[GraspBatch]:
+        rows = self.row_index(configuration, split)
+        for low, high in rows.object_ranges(object_id) or [(0, 0)]:
+            parts = [rows.read(low, high, table, columns) for table, columns in wanted]
+            batch = self.join([self.path / table for table, _ in wanted], parts)
+            if np.any(batch["object_id"] != object_id):
+                raise Contradiction(
+                    f"{self.path}: the rows of {object_id} are not where scenes.parquet says"
+                )
+            yield batch
+
+    def join(self, files: Sequence[Path], parts: Sequence[pa.Table]) -> GraspBatch:
+        """Make a batch of the same rows of the tables grasps, contacts and, maybe, verdicts.
+
+        Args:
+            files: Where they come from, for messages.
+            parts: The rows, in that order of tables.
+
+        Raises:
+            Contradiction: They are not the same rows.
+        """
         import pyarrow as pa
 
         batch = GraspBatch.from_arrow(parts[0])

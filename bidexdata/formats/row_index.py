@@ -6,23 +6,27 @@ say where each scene's rows lie: no text column of ten million rows is read to f
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Int
 
 from bidexdata.errors import UnknownName
-from bidexdata.formats import parquet
+from bidexdata.formats import hdf5, parquet
 from bidexdata.formats.release import Release
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 
 class Piece(NamedTuple):
     """Rows of one file: [low, high) of it."""
 
     part: int
-    """Number of the file in `Release.table_files`."""
+    """Number of the file in `Release.table_files`; of the split where there are none (HDF5)."""
     groups: tuple[int, ...]
     """Row groups that hold the rows."""
     low: int
@@ -48,7 +52,7 @@ class RowIndex:
         self._release, self._configuration, self._split = release, configuration, split
         scenes = release.scenes
         of = np.array(scenes.column("split").to_pylist(), str)
-        names = release.split_names if split is None else (split,)
+        self._names = names = release.split_names if split is None else (split,)
         self.scene_rows: Int[np.ndarray, " S"] = np.concatenate(
             [np.flatnonzero(of == name) for name in names] or [np.zeros(0, np.int64)]
         )
@@ -133,11 +137,45 @@ class RowIndex:
             start += rows
         return found
 
+    def read(
+        self, low: int, high: int, table: str = "grasps", columns: Sequence[str] | None = None
+    ) -> pa.Table:
+        """Read the rows [low, high) of a row table, whatever the form of the release.
+
+        Args:
+            low: First row.
+            high: Row behind the last.
+            table: `grasps`, `contacts` or `verdicts/<protocol>-<test>`.
+            columns: Which; all when omitted.
+
+        Raises:
+            Contradiction: A file is damaged.
+        """
+        import pyarrow as pa
+
+        release, place = self._release, (self._configuration, self._split)
+        files = release.table_files(table, *place)
+        found = []
+        for piece in self.pieces(low, high):
+            if files:
+                groups = parquet.read_groups(files[piece.part], columns, piece.groups)
+                rows = pa.concat_tables(groups).slice(piece.skip, piece.high - piece.low)
+            else:
+                where = (self._configuration, self._names[piece.part], piece.low, piece.high)
+                rows = release.hdf5_rows(table, *where, columns)
+            found.append(rows)
+        if not found:
+            return next(release.row_groups(table, *place, columns)).slice(0, 0)
+        return pa.concat_tables(found)
+
     @cached_property
     def _file_rows(self) -> list[int]:
         """Rows of each file, from the manifest where it says so, else from the footers."""
         release, listed = self._release, self._release.manifest["files"]
         files = release.table_files("grasps", self._configuration, self._split)
+        if not files:
+            names = self._names
+            return [hdf5.count_rows(release.path, self._configuration, name) for name in names]
         return [_rows_of(release.path, file, listed) for file in files]
 
 

@@ -7,7 +7,7 @@ generated from both lists.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -114,6 +114,13 @@ def plain_schema(fields: tuple[Field, ...]) -> pa.Schema:
     import pyarrow as pa
 
     return pa.schema([_arrow_field(f) for f in fields])
+
+
+def with_fields(schema: pa.Schema, fields: Sequence[pa.Field]) -> pa.Schema:
+    """A schema of other fields with the same metadata, the header."""
+    import pyarrow as pa
+
+    return pa.schema(fields, metadata=schema.metadata)
 
 
 def of_first_test(

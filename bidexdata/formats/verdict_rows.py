@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from bidexdata.errors import Contradiction
-from bidexdata.formats import parquet
 from bidexdata.formats.tables import VERDICT_COLUMNS
 from bidexdata.record import GraspBatch, Status
 
@@ -42,18 +41,20 @@ def verdict_rows(
         Contradiction: The verdict table has other rows than the grasps table.
     """
     names = ["grasp_id", "object_id", "size_mm", "synth_status", "selected"]
-    tables = ("grasps", f"verdicts/{protocol}-{test}")
-    for files in zip(*(release.table_files(t, configuration) for t in tables), strict=True):
-        streams = (parquet.read_groups(files[0], names), parquet.read_groups(files[1]))
-        for grasps, judged in zip(*streams, strict=True):
-            if not judged.column("grasp_id").equals(grasps.column("grasp_id")):
-                raise Contradiction(f"{files[1]}: rows are not those of {files[0]}")
-            tested = judged.column("success").is_valid()
-            batch = GraspBatch.from_arrow(grasps.filter(tested))
-            found = GraspBatch.from_arrow(judged.filter(tested))
-            if configuration == "audit":
-                others = ~batch["selected"]
-                batch, found = batch.select(others), found.select(others)
-            verdict = {name: found[name] for name in VERDICT_COLUMNS if name in found}
-            passed = verdict["success"] & (batch["synth_status"] == Status.OK)
-            yield VerdictRows(batch["object_id"], batch["size_mm"], passed, verdict)
+    table = f"verdicts/{protocol}-{test}"
+    streams = (
+        release.row_groups("grasps", configuration, columns=names),
+        release.row_groups(table, configuration),
+    )
+    for grasps, judged in zip(*streams, strict=True):
+        if not judged.column("grasp_id").equals(grasps.column("grasp_id")):
+            raise Contradiction(f"{release.path}: rows of {table} are not those of grasps")
+        tested = judged.column("success").is_valid()
+        batch = GraspBatch.from_arrow(grasps.filter(tested))
+        found = GraspBatch.from_arrow(judged.filter(tested))
+        if configuration == "audit":
+            others = ~batch["selected"]
+            batch, found = batch.select(others), found.select(others)
+        verdict = {name: found[name] for name in VERDICT_COLUMNS if name in found}
+        passed = verdict["success"] & (batch["synth_status"] == Status.OK)
+        yield VerdictRows(batch["object_id"], batch["size_mm"], passed, verdict)

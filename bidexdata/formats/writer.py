@@ -13,11 +13,11 @@ import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from bidexdata.errors import BadValue, NotUsable
+from bidexdata.errors import BadValue, NotUsable, UnknownChoice
 from bidexdata.formats import clouds, hdf5, parquet, tables
 from bidexdata.formats.card import write_card
 from bidexdata.formats.figures import Tally
@@ -102,8 +102,8 @@ def write_release(
         seed: Seed of the split.
         test_fraction: Share of objects in the split `test` [-].
         cloud_points: Points per object and cloud.
-        form: `both` adds the training form `grasps.h5`; `parquet` leaves it out. `hdf5` is
-            refused: the training form is derived from the Parquet tables and does not stand alone.
+        form: `both` adds the training form `grasps.h5` to the Parquet tables, `parquet` leaves it
+            out, and with `hdf5` the rows stand in `grasps.h5` alone.
         on_object: Called after each object's rows, for progress.
 
     Raises:
@@ -126,8 +126,6 @@ def write_release(
     figures = _write_rows(
         partial, ids, rows_of, header, runs, tuple(tests), default_protocol, splits, on_object
     )
-    if form == "both":
-        hdf5.write_training_form(partial, SPLITS)
     head = {
         "name": name,
         "version": version,
@@ -141,9 +139,11 @@ def write_release(
         "splits": [[s, sum(1 for v in splits.values() if v == s)] for s in SPLITS],
         "split": {"by": "object", "seed": seed, "test_fraction": test_fraction},
         "cloud_points": cloud_points,
+        "form": form,
         "figures": figures.pop(default_protocol),
         "other_figures": figures,
     }
+    _write_hdf5(partial, form, head, tests)
     write_card(partial, head)
     write_manifest(partial, head)
     _put_in_place(partial, out)
@@ -161,11 +161,8 @@ def check_names(out: Path, name: str, version: str, form: str) -> None:
         raise BadValue(f"version {version!r} cannot be used; write X.Y.Z, for example 1.0.0")
     if not _NAME.fullmatch(name):
         raise BadValue(f"name {name!r} cannot be used; use letters, digits, '.', '_' and '-'")
-    if form not in ("both", "parquet"):
-        raise NotUsable(
-            f"form {form!r} cannot be used: the training form is derived from Parquet; "
-            "take 'both' or 'parquet'"
-        )
+    if form not in get_args(Form):
+        raise UnknownChoice("--form", form, get_args(Form))
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise NotUsable(f"{out} exists already; a release is written once, choose another --out")
 
@@ -280,6 +277,18 @@ class _ConfigurationWriter:
     def close(self) -> None:
         for writer in (self.grasps, self.contacts, *self.verdicts.values()):
             writer.close()
+
+
+def _write_hdf5(root: Path, form: Form, head: Mapping[str, Any], tests: Sequence[TestKey]) -> None:
+    """Derive `grasps.h5` from the Parquet tables; for the form `hdf5` drop these then."""
+    if form == "parquet":
+        return
+    whole = sorted(tests) if form == "hdf5" else None
+    hdf5.write_training_form(root, SPLITS, about=hdf5.about_release(head), whole_tests=whole)
+    for configuration in CONFIGURATIONS if form == "hdf5" else ():
+        suffix = "" if configuration == "selected" else f"_{configuration}"
+        for table in ("grasps", "contacts", "verdicts"):
+            shutil.rmtree(root / f"{table}{suffix}", ignore_errors=True)
 
 
 def _put_in_place(partial: Path, out: Path) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from bidexdata.errors import BadConfig, MissingExtra, UnknownName
 from bidexdata.formats import hdf5
 from bidexdata.formats.release import Release
-from bidexdata.formats.tables import CONFIGURATIONS
+from bidexdata.formats.tables import CONFIGURATIONS, CONTACT_COLUMNS
 from bidexdata.loaders.collation import RowBatch
 from bidexdata.loaders.filters import Where, columns_named, matching_rows, scalar_values
 from bidexdata.loaders.poses import points_in_world, poses_in_object_frame
@@ -172,7 +172,7 @@ class BiDexDataset:
     def _open(self) -> None:
         scalars = self._scalar_columns()
         self._map()
-        known = {*self._columns, *scalars, *hdf5.INTEGER_LISTS, "size"}
+        known = {*self._columns, *scalars, *hdf5.INTEGER_LISTS, *CONTACT_COLUMNS, "size"}
         for name in self.fields:
             if name not in known:
                 raise UnknownName("field", name, sorted(known))
@@ -181,7 +181,8 @@ class BiDexDataset:
             if name not in scalars:
                 raise UnknownName("column", name, scalars, "in where")
         mine = [n for n in self.fields if n in scalars and n not in self._columns]
-        lists = [n for n in self.fields if n in hdf5.INTEGER_LISTS]
+        apart = (*hdf5.INTEGER_LISTS, *CONTACT_COLUMNS)
+        lists = [n for n in self.fields if n in apart and n not in self._columns]
         place = (self.configuration, self.split)
         size = "size" if "size" in scalars else "size_mm"
         needed = [*mine, *_ALWAYS, size, *(scalars if named is None else named)]
@@ -189,7 +190,7 @@ class BiDexDataset:
         self._total = index.num_rows
         self._rows = matching_rows(self.where, index)
         parts = [
-            hdf5.read_integer_lists(self.release.path, self.configuration, split, lists)
+            hdf5.map_columns(self.release.path, self.configuration, split, lists)
             for split in self._splits
         ]
         self._lists = {name: np.concatenate([part[name] for part in parts]) for name in lists}
@@ -226,10 +227,8 @@ class BiDexDataset:
     def _scalar_columns(self) -> list[str]:
         import pyarrow as pa
 
-        from bidexdata.formats.parquet import read_schema
-
-        file = self.release.table_files("grasps", self.configuration, self.split)[0]
-        return [f.name for f in read_schema(file) if not pa.types.is_fixed_size_list(f.type)]
+        schema = self.release.table_schema("grasps", self.configuration)
+        return [f.name for f in schema if not pa.types.is_fixed_size_list(f.type)]
 
     def _read(self, rows: np.ndarray) -> dict[str, Any]:
         import torch

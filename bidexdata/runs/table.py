@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bidexdata.errors import BadConfig
-from bidexdata.formats import parquet
 from bidexdata.formats.flat import GRASP, Verdicts, flat_rows, flat_schema
 from bidexdata.formats.tables import VERDICT_COLUMNS
 from bidexdata.record import GraspBatch
@@ -123,17 +122,19 @@ def release_rows(release: Release, protocol: str) -> Iterator[pa.Table]:
     names = [n for n in GRASP if not release.header.lacks(n)]
     for configuration in release.configurations:
         tables = ["grasps", *(f"verdicts/{protocol}-{t}" for t in tests)]
-        lists = [release.table_files(t, configuration) for t in tables]
-        for files in zip(*lists, strict=True):
-            streams = [parquet.read_groups(files[0], names), *map(parquet.read_groups, files[1:])]
-            for grasps, *judged in zip(*streams, strict=True):
-                columns = dict(GraspBatch.from_arrow(grasps).columns)
-                verdicts = {t: _verdicts(v) for t, v in zip(tests, judged, strict=True)}
-                rows = flat_rows(columns, verdicts, protocol)
-                if configuration == "audit":
-                    rows = rows.filter(~columns["selected"])
-                if rows.num_rows:
-                    yield rows
+        chosen = [names, *(None for _ in tests)]
+        streams = [
+            release.row_groups(table, configuration, columns=columns)
+            for table, columns in zip(tables, chosen, strict=True)
+        ]
+        for grasps, *judged in zip(*streams, strict=True):
+            columns = dict(GraspBatch.from_arrow(grasps).columns)
+            verdicts = {t: _verdicts(v) for t, v in zip(tests, judged, strict=True)}
+            rows = flat_rows(columns, verdicts, protocol)
+            if configuration == "audit":
+                rows = rows.filter(~columns["selected"])
+            if rows.num_rows:
+                yield rows
 
 
 def _verdicts(table: pa.Table) -> Verdicts:

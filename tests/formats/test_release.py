@@ -11,27 +11,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, example, given, settings
-from hypothesis import strategies as st
 from made_release import (
     OBJECTS,
     PAPER_F,
     PER_SCENE,
     SIZES,
     made_hand,
-    made_hands,
     made_object,
     made_release,
     made_rows,
 )
 
 from bidexdata.errors import Contradiction, NotUsable, PathNotFound, UnknownName
-from bidexdata.formats import hdf5
 from bidexdata.formats.manifest import write_manifest
 from bidexdata.formats.object_table import shape_hash
 from bidexdata.formats.release import Release, ReleaseRows, RunInfo
-from bidexdata.formats.tables import CONTACT_COLUMNS, GRASP_COLUMNS, SORTED_BY, VERDICT_COLUMNS
-from bidexdata.record import FIELDS, GraspBatch, Header, Status
+from bidexdata.formats.tables import SORTED_BY
+from bidexdata.record import Status
 from bidexdata.record.batch import BadRecord
 
 OBJECT = OBJECTS[0]
@@ -45,68 +41,6 @@ def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
     if a.dtype.kind == "U":
         return a.tolist() == b.tolist()
     return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
-
-
-def arbitrary_rows(object_id: str, seed: int, n: int, hands) -> ReleaseRows:
-    """Rows whose numbers are random bits: NaN payloads, infinities and subnormals included."""
-    rng = np.random.default_rng(seed)
-    header = Header(tuple(h.header() for h in hands), counts={f"{object_id}/300/float": {"ok": n}})
-
-    def column(name):
-        field, shape = FIELDS[name], (n, *header.shape(FIELDS[name]))
-        if field.dtype == "string":
-            return np.array(
-                ["".join(map(chr, rng.integers(0x20, 0x2FA0, 4))) for _ in range(n)], np.str_
-            )
-        if field.dtype == "bool":
-            return rng.random(shape) < 0.5
-        size = np.dtype(field.dtype).itemsize
-        return np.frombuffer(rng.bytes(int(np.prod(shape)) * size), field.dtype).reshape(shape)
-
-    columns = {name: column(name) for name in (*GRASP_COLUMNS, *CONTACT_COLUMNS)}
-    columns["grasp_id"] = np.array([f"{i:016x}" for i in rng.permutation(n)], np.str_)
-    columns["object_id"] = np.full(n, object_id)
-    columns["size_mm"] = np.full(n, 300, np.int32)
-    columns["scene_id"] = np.full(n, f"{object_id}/300/float")
-    columns["synth_status"] = np.full(n, Status.OK, np.int8)
-    verdicts = {name: column(name) for name in VERDICT_COLUMNS}
-    verdicts["verdict_status"] = rng.choice([Status.OK, Status.SLIP], n).astype(np.int8)
-    return ReleaseRows("run", GraspBatch(header, columns), {PAPER_F: verdicts})
-
-
-# One example packs a whole release: shrinking would pack hundreds.
-@settings(
-    max_examples=6,
-    deadline=None,
-    phases=[Phase.explicit, Phase.generate],
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
-@example(seed=0, n=0, one_hand=False)
-@given(seed=st.integers(0, 2**32), n=st.integers(0, 5), one_hand=st.booleans())
-def test_every_field_comes_back_bit_for_bit(tmp_path_factory, seed, n, one_hand):
-    object_id = "größe-0badf00d"
-    hands = (made_hand("right"),) if one_hand else made_hands()
-    rows = arbitrary_rows(object_id, seed, n, hands)
-    out = made_release(
-        tmp_path_factory.mktemp("bits") / "release",
-        (object_id,),
-        rows_of=lambda _: [rows],
-        hands=hands,
-    )
-    release = Release.open(out)
-    assert release.hands == tuple(h.header() for h in hands)
-    for configuration in release.configurations:
-        read = release.grasps(configuration=configuration)
-        mine = np.flatnonzero(rows.batch[configuration])
-        mine = mine[np.argsort(rows.batch["grasp_id"][mine])]
-        expected = {**rows.batch.columns, **rows.verdicts[PAPER_F]}
-        assert set(read.columns) == set(expected)
-        for name, value in expected.items():
-            assert same_bits(read[name], value[mine]), name
-        mapped = hdf5.map_values(out, configuration, "train")
-        for name, (place, shape) in mapped.columns.items():
-            values = np.ascontiguousarray(mapped.values[:, place]).reshape(-1, *shape)
-            assert same_bits(values, expected[name][mine]), name
 
 
 def test_two_packs_give_the_same_bytes_whatever_the_order(packed, tmp_path):
@@ -267,7 +201,6 @@ def test_rows_of_other_hands_objects_or_runs_are_refused(tmp_path):
         ({"version": "01.0.0"}, "X.Y.Z"),
         ({"name": "a b"}, "letters"),
         ({"name": "../x"}, "letters"),
-        ({"form": "hdf5"}, "derived from Parquet"),
     ],
 )
 def test_impossible_names_are_refused(tmp_path, options, said):
@@ -332,28 +265,3 @@ def test_a_manifest_of_something_else_is_a_contradiction(copied, content):
     (copied / "manifest.sha256").write_text(line)
     with pytest.raises(Contradiction, match="not a manifest"):
         Release.open(copied)
-
-
-def test_the_training_form_can_be_left_out(tmp_path):
-    out = made_release(tmp_path / "r", (OBJECT,), form="parquet")
-    assert not (out / "grasps.h5").exists()
-    assert hdf5.map_values(out, "selected", "train") is None
-    read = hdf5.read_values(out, "selected", "train")
-    both = made_release(tmp_path / "b", (OBJECT,))
-    mapped = hdf5.map_values(both, "selected", "train")
-    assert read.columns == mapped.columns
-    assert read.values.tobytes() == np.asarray(mapped.values).tobytes()
-
-
-def test_integers_of_the_training_form_are_those_of_the_tables(packed):
-    import h5py
-
-    release = Release.open(packed)
-    batch = release.grasps(split="train")
-    with h5py.File(packed / "grasps.h5") as file:
-        group = file["selected/train"]
-        for name in ("size_mm", "contact_index", "region_id", "seed", "selected", "synth_status"):
-            np.testing.assert_array_equal(group[name][:], batch[name])
-        np.testing.assert_array_equal(group["suc_f"][:] == 1, batch["success"])
-        assert set(group["suc_l"][:]) == {-1}
-        assert group["size_mm"].attrs["unit"] == "mm"

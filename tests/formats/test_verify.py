@@ -13,7 +13,7 @@ from made_release import OBJECTS, PER_SCENE, SIZES, as_schema_1_0, made_release,
 
 from bidexdata.errors import Contradiction, NotUsable, PathNotFound
 from bidexdata.formats import parquet
-from bidexdata.formats.hdf5 import write_training_form
+from bidexdata.formats.hdf5 import rebuild_training_form
 from bidexdata.formats.manifest import damage, read_manifest, write_manifest
 from bidexdata.formats.release import Release, ReleaseRows
 from bidexdata.formats.splits import SPLITS
@@ -298,7 +298,7 @@ def test_duplicates_across_scenes_are_found(tmp_path):
 def test_the_training_form_is_rebuilt_from_the_tables(copied):
     before = (copied / "grasps.h5").read_bytes()
     (copied / "grasps.h5").unlink()
-    write_training_form(copied, SPLITS)
+    rebuild_training_form(copied)
     assert (copied / "grasps.h5").read_bytes() == before
 
 
