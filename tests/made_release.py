@@ -217,7 +217,7 @@ def made_release(out: Path, object_ids=OBJECTS, *, runs=None, **options) -> Path
     write_release(
         out,
         object_ids=object_ids,
-        load_object=made_object,
+        load_object=options.pop("load_object", made_object),
         hands=rows.get("hands") or made_hands(),
         runs=runs or [RunInfo("run", "f" * 16, PER_SCENE, 4 * PER_SCENE, config={"a": 1})],
         **{"tests": [PAPER_F], **options},

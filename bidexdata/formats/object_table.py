@@ -12,13 +12,19 @@ import numpy as np
 
 from bidexdata.config import canonical_json
 from bidexdata.formats.rows import ObjectRows, ReleaseRows, RunInfo
+from bidexdata.formats.scene_facts import ScenePhysics, scene_facts
 from bidexdata.formats.tables import OBJECT_FIELDS, RUN_FIELDS, SCENE_FIELDS, plain_schema
 from bidexdata.objects.prepared import Solid
 from bidexdata.objects.sources.item import UNKNOWN
+from bidexdata.record import GraspBatch
 from bidexdata.record.scene import scene_parts
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+
+_POSED = ("size", "object_pos", "object_quat_wxyz")
+_RECIPE = ("piece_method", "repair_steps", "origin_in_file", "unit_in_file")
 
 
 def shape_hash(solid: Solid) -> str:
@@ -36,6 +42,7 @@ def object_row(solid: Solid, shape: str) -> dict[str, Any]:
     """Row of the objects table, without `cloud_index` and `split`."""
     known = solid.provenance
     text = {key: str(known.get(key) or "") for key in ("source_name", "source_sha256")}
+    text["uri"] = str(known.get("uri") or "")
     text |= {
         key: str(known.get(key) or UNKNOWN) for key in ("source", "licence", "author", "category")
     }
@@ -45,7 +52,9 @@ def object_row(solid: Solid, shape: str) -> dict[str, Any]:
         "shape_sha256": shape,
         "pieces": len(solid.pieces),
         "volume": solid.volume,
+        "nominal_volume": solid.nominal_volume,
         "rest_poses": len(solid.rest_quats_wxyz),
+        "recipe": canonical_json({key: known[key] for key in _RECIPE if key in known}),
     }
 
 
@@ -63,6 +72,7 @@ def scene_rows(
     parts: Iterable[ReleaseRows],
     rows: ObjectRows,
     wanted: Mapping[str, int | None],
+    physics: ScenePhysics | None = None,
 ) -> list[dict[str, Any]]:
     """Rows of the scenes table of one object, sorted by size and scene.
 
@@ -72,6 +82,7 @@ def scene_rows(
         parts: Rows per run as they were given, with the counts of their headers.
         rows: The joined rows.
         wanted: Grasps to keep per scene for each run name; None for imported runs.
+        physics: Mass and friction of the object's scenes; NaN when omitted.
     """
     scenes: dict[str, dict[str, Any]] = {}
     for part in parts:
@@ -81,6 +92,7 @@ def scene_rows(
             row["runs"].add(part.run)
             row["counts"].update(part.batch.header.counts.get(scene, {}))
     out = []
+    posed = GraspBatch(rows.batch.header, {n: rows.batch.columns[n] for n in _POSED})
     for scene, row in scenes.items():
         named = scene_parts(scene)
         mine = rows.batch["scene_id"] == scene
@@ -90,6 +102,7 @@ def scene_rows(
                 "object_id": object_id,
                 "size_mm": named.size_mm,
                 "setting": named.setting,
+                **scene_facts(named, posed.select(mine), physics),
                 "split": split,
                 "runs": len(row["runs"]),
                 "grasps_wanted": sum(wanted[run] or 0 for run in row["runs"]),

@@ -7,7 +7,8 @@ cuts row groups and files by row number and object, not by the batches it is giv
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,11 +38,28 @@ class TableWriter:
         stem: str,
         schema: pa.Schema,
         sorted_by: Sequence[str] = (),
-        rows_per_file: int = ROWS_PER_FILE,
+        rows_per_file: int | None = None,
+        *,
+        watch: Callable[[pa.Table], Any] | None = None,
+        do: Callable[[Callable[[], Any]], Any] | None = None,
     ):
+        """Say where rows go.
+
+        Args:
+            folder: Of the table.
+            stem: What file names begin with: the split.
+            schema: Of the table.
+            sorted_by: Columns that the rows are sorted by.
+            rows_per_file: Rows after which the next object begins a new file; `ROWS_PER_FILE` when
+                omitted.
+            watch: Sees every row group that is written, in order.
+            do: Does a job, in order; in place, unless something like `Background.do` is given.
+        """
         self.folder, self.stem, self.schema = folder, stem, schema
-        self.sorted_by, self.rows_per_file = tuple(sorted_by), rows_per_file
-        self.rows = 0
+        self.sorted_by, self.rows_per_file = tuple(sorted_by), rows_per_file or ROWS_PER_FILE
+        self.files: dict[Path, int] = {}
+        """Rows of every file so far."""
+        self._watch, self._do = watch, do or _at_once
         self._part = 0
         self._in_file = 0
         self._waiting: list[pa.Table] = []
@@ -53,7 +71,6 @@ class TableWriter:
             return
         if self._in_file >= self.rows_per_file:
             self._end_file()
-        self.rows += table.num_rows
         self._in_file += table.num_rows
         self._waiting.append(table)
         self._write_groups(ROW_GROUP)
@@ -72,20 +89,30 @@ class TableWriter:
         at = 0
         while waiting - at >= smallest and at < waiting:
             group = table.slice(at, ROW_GROUP).combine_chunks()
-            self._open().write_table(group, row_group_size=ROW_GROUP)
+            self._do(partial(self._write, self._open(), group))
+            self.files[self._path] += group.num_rows
             at += group.num_rows
         self._waiting = [table.slice(at)] if at < waiting else []
 
     def _open(self) -> pq.ParquetWriter:
         if self._writer is None:
             self.folder.mkdir(parents=True, exist_ok=True)
-            path = self.folder / f"{self.stem}-{self._part:05d}.parquet"
-            self._writer = _parquet_writer(path, self.schema, self.sorted_by)
+            self._writer = _parquet_writer(self._path, self.schema, self.sorted_by)
+            self.files[self._path] = 0
         return self._writer
+
+    @property
+    def _path(self) -> Path:
+        return self.folder / f"{self.stem}-{self._part:05d}.parquet"
+
+    def _write(self, writer: pq.ParquetWriter, group: pa.Table) -> None:
+        writer.write_table(group, row_group_size=ROW_GROUP)
+        if self._watch is not None:
+            self._watch(group)
 
     def _end_file(self) -> None:
         self._write_groups(1)
-        self._open().close()
+        self._do(self._open().close)
         self._writer, self._in_file, self._waiting = None, 0, []
         self._part += 1
 
@@ -191,6 +218,10 @@ def groups_with(path: Path, column: str, low: Any, high: Any) -> list[int]:
             return found
     except (OSError, pa.ArrowException) as err:
         raise Contradiction(f"{path}: damaged Parquet file ({_first_line(err)})") from err
+
+
+def _at_once(job: Callable[[], Any]) -> None:
+    job()
 
 
 def _open_checked(path: Path) -> pq.ParquetFile:

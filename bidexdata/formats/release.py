@@ -129,13 +129,15 @@ class Release:
 
     @cached_property
     def objects(self) -> pa.Table:
-        """The objects table."""
-        return parquet.read_table(self.path / "objects.parquet")
+        """The objects table; columns that an older schema lacks say nothing."""
+        table = parquet.read_table(self.path / "objects.parquet")
+        return tables.completed(table, tables.OBJECT_FIELDS)
 
     @cached_property
     def scenes(self) -> pa.Table:
-        """The scenes table."""
-        return parquet.read_table(self.path / "scenes.parquet")
+        """The scenes table; columns that an older schema lacks say nothing."""
+        table = parquet.read_table(self.path / "scenes.parquet")
+        return tables.completed(table, tables.SCENE_FIELDS)
 
     @cached_property
     def runs(self) -> pa.Table:

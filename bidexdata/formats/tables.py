@@ -7,13 +7,14 @@ generated from both lists.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bidexdata.record import FIELDS, Field, Header
-from bidexdata.record.batch import arrow_schema, field_metadata, fill_value
+from bidexdata.record.batch import arrow_schema, field_metadata, fill_value, number_of
 from bidexdata.record.fields import MEASURED, TESTS, columns_of_table, columns_written_by
 
 if TYPE_CHECKING:
@@ -41,11 +42,14 @@ OBJECT_FIELDS = (
     Field("source_sha256", "string", "", "", "", "prepare", "objects", "sha256 of the source file"),
     Field("shape_sha256", "string", "", "", "", "pack", "objects", "sha256 of the repaired mesh's and the pieces' arrays; no shape is in two splits"),
     Field("licence", "string", "", "", "", "prepare", "objects", "SPDX identifier of the mesh's licence; unknown = the source states none"),
+    Field("uri", "string", "", "", "", "prepare", "objects", "address of the source; empty = none stated"),
     Field("author", "string", "", "", "", "prepare", "objects", "author of the mesh; unknown = the source names none"),
     Field("category", "string", "", "", "", "prepare", "objects", "category given by the source; unknown = none"),
     Field("pieces", "int32", "", "", "", "pack", "objects", "number of convex pieces"),
     Field("volume", "float32", "", "", "object", "pack", "objects", "volume of the solid at unit diagonal"),
+    Field("nominal_volume", "float32", "", "", "object", "pack", "objects", "volume at unit diagonal that a protocol's fixed mass belongs to: the body weighs mass x volume / nominal_volume"),
     Field("rest_poses", "int32", "", "", "", "pack", "objects", "number of rest poses on a table"),
+    Field("recipe", "string", "", "", "", "prepare", "objects", "JSON: how the solid was made of the source file (piece_method, repair_steps, origin_in_file, unit_in_file where known)"),
 )
 
 SCENE_FIELDS = (
@@ -53,6 +57,11 @@ SCENE_FIELDS = (
     Field("object_id", "string", "", "", "", "synth", "scenes", "object of the scene"),
     Field("size_mm", "int32", "", "mm", "", "synth", "scenes", "bounding-box diagonal of the simulated solid"),
     Field("setting", "string", "", "", "", "synth", "scenes", "floating or tabletop"),
+    Field("table", "bool", "", "", "", "synth", "scenes", "there is a table; its surface is z = 0"),
+    Field("object_pos", "float32", "3", "m", "world", "synth", "scenes", "origin of the object frame; NaN = a scene on a table that no row is stored of, or whose rows differ"),
+    Field("object_quat_wxyz", "float32", "4", "", "world", "synth", "scenes", "orientation of the object frame, unit, w >= 0; NaN as object_pos"),
+    Field("mass", "float32", "", "kg", "", "pack", "scenes", "mass of the object under the default protocol; NaN = the release has no settings of it"),
+    Field("friction", "float32", "", "", "", "pack", "scenes", "tangential friction of every surface under the default protocol; NaN as mass"),
     Field("split", "string", "", "", "", "pack", "scenes", "split of the object"),
     Field("runs", "int32", "", "", "", "pack", "scenes", "number of runs that worked on the scene"),
     Field("grasps_wanted", "int32", "", "", "", "pack", "scenes", "grasps to keep (N), summed over the runs; 0 where all rows are imported"),
@@ -74,6 +83,13 @@ RUN_FIELDS = (
     Field("config", "string", "", "", "", "synth", "runs", "canonical JSON of the whole configuration"),
 )
 # fmt: on
+
+PLAIN_ADDED_IN = {
+    **dict.fromkeys(("table", "object_pos", "object_quat_wxyz", "mass", "friction"), "1.3"),
+    **dict.fromkeys(("uri", "nominal_volume", "recipe"), "1.3"),
+}
+"""Schema version that brought a column of the objects or scenes table."""
+_EMPTY: dict[str, Any] = {"string": "", "bool": False, "float32": math.nan}
 
 NULLABLE = tuple(f"suc_{test}" for test in TESTS)
 
@@ -116,6 +132,26 @@ def plain_schema(fields: tuple[Field, ...]) -> pa.Schema:
     return pa.schema([_arrow_field(f) for f in fields])
 
 
+def plain_lacks(header: Header, name: str) -> bool:
+    """Whether a release with this header was written before a column of a plain table existed."""
+    version = PLAIN_ADDED_IN.get(name)
+    return version is not None and number_of(header.schema_version) < number_of(version)
+
+
+def completed(table: pa.Table, fields: tuple[Field, ...]) -> pa.Table:
+    """A plain table with the columns that its schema lacks, which say nothing: NaN, empty, False."""
+    import pyarrow as pa
+
+    for field in plain_schema(fields):
+        if field.name not in table.column_names:
+            value = _EMPTY.get(next(f.dtype for f in fields if f.name == field.name), -1)
+            if pa.types.is_fixed_size_list(field.type):
+                value = [value] * field.type.list_size
+            column = pa.array([value] * table.num_rows, field.type)
+            table = table.append_column(field, column)
+    return table
+
+
 def with_fields(schema: pa.Schema, fields: Sequence[pa.Field]) -> pa.Schema:
     """A schema of other fields with the same metadata, the header."""
     import pyarrow as pa
@@ -152,5 +188,8 @@ def _arrow_field(column: Field) -> pa.Field:
     import pyarrow as pa
 
     kind = pa.string() if column.dtype == "string" else pa.type_for_alias(column.dtype)
+    if column.axes:  # of plain tables: numbers alone, for they know no hands
+        size = math.prod(int(axis) for axis in column.axes)
+        kind = pa.list_(pa.field("element", kind, nullable=False), size)
     nullable = column.name in NULLABLE
     return pa.field(column.name, kind, nullable=nullable, metadata=field_metadata(column))

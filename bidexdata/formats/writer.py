@@ -2,58 +2,50 @@
 
 Everything goes to a hidden sibling of the target first, so that a killed `pack` leaves no release.
 The same input gives the same bytes: no times, no host names, rows sorted, files cut by row number.
-Nothing is held in memory but one object's rows and one row group per table.
+Nothing is held in memory but one object's rows and a few row groups per table.
 """
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 from bidexdata.errors import BadValue, NotUsable, UnknownChoice
-from bidexdata.formats import clouds, hdf5, parquet, tables
+from bidexdata.formats import hdf5, parquet
 from bidexdata.formats.card import write_card
+from bidexdata.formats.content_hash import ContentTally
 from bidexdata.formats.figures import Tally
 from bidexdata.formats.hand_files import write_hand
 from bidexdata.formats.manifest import write_manifest
-from bidexdata.formats.object_table import (
-    object_row,
-    objects_table,
-    runs_table,
-    scene_rows,
-    scenes_table,
-    shape_hash,
-)
-from bidexdata.formats.rows import (
-    ObjectRows,
-    ReleaseRows,
-    RunInfo,
-    TestKey,
-    contacts_table,
-    grasps_table,
-    join_rows,
-    verdicts_table,
-)
+from bidexdata.formats.new_folder import new_folder, refuse_taken
+from bidexdata.formats.object_pass import EachObject, ObjectPass, one_by_one
+from bidexdata.formats.object_table import objects_table, runs_table, scene_rows, scenes_table
+from bidexdata.formats.row_writer import RowWriters
+from bidexdata.formats.rows import ReleaseRows, RunInfo, TestKey, join_rows
+from bidexdata.formats.scene_facts import ScenePhysics
 from bidexdata.formats.splits import SPLITS, split_objects
-from bidexdata.formats.tables import CONFIGURATIONS, SORTED_BY
-from bidexdata.objects.library import object_folder
+from bidexdata.formats.statistics import write_statistics
+from bidexdata.formats.tables import CONFIGURATIONS
 from bidexdata.objects.prepared import PreparedObject
-from bidexdata.objects.storage import write_solid
 from bidexdata.record import Header
 from bidexdata.record.fields import TESTS
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from bidexdata.hands.model import Hand
 
 Form = Literal["both", "parquet", "hdf5"]
 _VERSION = re.compile(r"(0|[1-9]\d*)\.(0|[1-9]\d*)\.(0|[1-9]\d*)")
+_SMALL_SORTED_BY = {
+    "objects": ("object_id",),
+    "scenes": ("object_id", "size_mm", "scene_id"),
+    "runs": ("run",),
+}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,95}")
 
 
@@ -84,6 +76,7 @@ def write_release(
     cloud_points: int = 2048,
     form: Form = "both",
     on_object: Callable[[str], None] | None = None,
+    each_object: EachObject | None = None,
 ) -> ReleaseSummary:
     """Write a release folder from batches and objects.
 
@@ -105,6 +98,8 @@ def write_release(
         form: `both` adds the training form `grasps.h5` to the Parquet tables, `parquet` leaves it
             out, and with `hdf5` the rows stand in `grasps.h5` alone.
         on_object: Called after each object's rows, for progress.
+        each_object: Writes the objects in place of `load_object`, for example in several
+            processes; see `object_pass`.
 
     Raises:
         BadValue: The name or version cannot be used.
@@ -114,39 +109,60 @@ def write_release(
     """
     out = Path(out)
     check_names(out, name, version, form)
-    partial = out.parent / f".{out.name}.partial"
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
     ids = sorted(set(object_ids))
     header = Header(hands=tuple(h.header() for h in hands), version=_package_version())
-    splits = _write_objects(partial, ids, load_object, seed, test_fraction, cloud_points)
-    for hand in hands:
-        write_hand(partial, hand)
-    parquet.write_table(partial / "runs.parquet", runs_table(runs), ("run",))
-    figures = _write_rows(
-        partial, ids, rows_of, header, runs, tuple(tests), default_protocol, splits, on_object
-    )
-    head = {
-        "name": name,
-        "version": version,
-        "schema_version": header.schema_version,
-        "generator": {"name": "bidexdata", "version": header.version},
-        "header": header.to_json(),
-        "default_protocol": default_protocol,
-        "protocols": dict(protocols or {}),
-        "tests": [list(key) for key in sorted(tests)],
-        "configurations": list(CONFIGURATIONS),
-        "splits": [[s, sum(1 for v in splits.values() if v == s)] for s in SPLITS],
-        "split": {"by": "object", "seed": seed, "test_fraction": test_fraction},
-        "cloud_points": cloud_points,
-        "form": form,
-        "figures": figures.pop(default_protocol),
-        "other_figures": figures,
-    }
-    _write_hdf5(partial, form, head, tests)
-    write_card(partial, head)
-    write_manifest(partial, head)
-    _put_in_place(partial, out)
+    content = ContentTally()
+    with new_folder(out) as partial:
+        one = ObjectPass(partial, cloud_points)
+        one.begin(len(ids))
+        found = dict((each_object or one_by_one(load_object))(one, ids))
+        objects = [found[object_id] for object_id in ids]
+        shapes = {row["object_id"]: row["shape_sha256"] for row in objects}
+        splits = split_objects(shapes, test_fraction=test_fraction, seed=seed)
+        for hand in hands:
+            write_hand(partial, hand)
+        settings = (protocols or {}).get(default_protocol)
+        written = _write_rows(
+            partial,
+            {row["object_id"]: ScenePhysics.of(row, settings) for row in objects},
+            rows_of,
+            header,
+            runs,
+            tuple(tests),
+            default_protocol,
+            splits,
+            content,
+            on_object,
+        )
+        small = {
+            "objects": objects_table(objects, splits),
+            "scenes": written.scenes,
+            "runs": runs_table(runs),
+        }
+        for table, rows in small.items():
+            parquet.write_table(partial / f"{table}.parquet", rows, _SMALL_SORTED_BY[table])
+            content.add(table, rows)
+        head = {
+            "name": name,
+            "version": version,
+            "schema_version": header.schema_version,
+            "generator": {"name": "bidexdata", "version": header.version},
+            "header": header.to_json(),
+            "default_protocol": default_protocol,
+            "protocols": dict(protocols or {}),
+            "tests": [list(key) for key in sorted(tests)],
+            "configurations": list(CONFIGURATIONS),
+            "splits": [[s, sum(1 for v in splits.values() if v == s)] for s in SPLITS],
+            "split": {"by": "object", "seed": seed, "test_fraction": test_fraction},
+            "cloud_points": cloud_points,
+            "form": form,
+            "content_hash": content.digest(),
+            "figures": written.figures.pop(default_protocol),
+            "other_figures": written.figures,
+        }
+        _write_hdf5(partial, form, head, tests)
+        write_card(partial, head)
+        write_manifest(partial, head, {} if form == "hdf5" else written.file_rows)
     return ReleaseSummary(out, head["figures"])
 
 
@@ -163,120 +179,60 @@ def check_names(out: Path, name: str, version: str, form: str) -> None:
         raise BadValue(f"name {name!r} cannot be used; use letters, digits, '.', '_' and '-'")
     if form not in get_args(Form):
         raise UnknownChoice("--form", form, get_args(Form))
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise NotUsable(f"{out} exists already; a release is written once, choose another --out")
+    refuse_taken(out)
 
 
-def _write_objects(
-    root: Path,
-    ids: Sequence[str],
-    load_object: Callable[[str], PreparedObject],
-    seed: int,
-    test_fraction: float,
-    cloud_points: int,
-) -> dict[str, str]:
-    """Write object files, clouds and the objects table; give object_id -> split."""
-    (root / "clouds").mkdir()
-    arrays = {
-        kind: np.lib.format.open_memmap(
-            root / "clouds" / f"{kind}.npy", "w+", np.float32, (len(ids), cloud_points, 3)
-        )
-        for kind in clouds.CLOUDS
-    }
-    rows: list[dict[str, Any]] = []
-    for i, object_id in enumerate(ids):
-        obj = load_object(object_id)
-        rows.append(object_row(obj, shape_hash(obj)))
-        write_solid(root / object_folder(object_id), obj)
-        for kind, mesh in (("cloud_solid", obj.solid), ("cloud_mesh", obj.mesh)):
-            key = f"{object_id}/{kind}"
-            arrays[kind][i] = clouds.surface_cloud(mesh.vertices, mesh.faces, cloud_points, key)
-    for array in arrays.values():
-        array.flush()
-    shapes = {row["object_id"]: row["shape_sha256"] for row in rows}
-    splits = split_objects(shapes, test_fraction=test_fraction, seed=seed)
-    parquet.write_table(root / "objects.parquet", objects_table(rows, splits), ("object_id",))
-    return splits
+class _Written(NamedTuple):
+    """What is known once all rows are written."""
+
+    figures: dict[str, Any]
+    """Of every protocol."""
+    scenes: pa.Table
+    file_rows: dict[str, int]
 
 
 def _write_rows(
     root: Path,
-    ids: Sequence[str],
+    physics: Mapping[str, ScenePhysics],
     rows_of: Callable[[str], Iterable[ReleaseRows]],
     header: Header,
     runs: Sequence[RunInfo],
     tests: tuple[TestKey, ...],
     protocol: str,
-    splits: dict[str, str],
+    splits: Mapping[str, str],
+    content: ContentTally,
     on_object: Callable[[str], None] | None,
-) -> dict[str, Any]:
-    """Write grasps, contacts, verdicts and scenes; give the figures of every protocol."""
+) -> _Written:
+    """Write grasps, contacts, verdicts and statistics, and collect scenes and figures."""
     wanted = {run.name: run.grasps for run in runs}
     tallies = {
         name: Tally(tuple(t for t in TESTS if (name, t) in tests) or ("f",))
         for name in sorted({protocol, *(p for p, _ in tests)})
     }
-    writers = {
-        (configuration, split): _ConfigurationWriter(root, configuration, split, header, tests)
-        for configuration in CONFIGURATIONS
-        for split in SPLITS
-    }
+    writers = RowWriters(root, header, tests, SPLITS, content)
     scenes: list[dict[str, Any]] = []
-    for object_id in ids:
-        parts = list(rows_of(object_id))
-        unknown = sorted({part.run for part in parts} - set(wanted))
-        if unknown:
-            raise NotUsable(f"rows of run {unknown[0]!r}, which is not among the runs given")
-        rows = join_rows(object_id, parts, header, tests)
-        for part in parts:
-            for name, tally in tallies.items():
-                verdicts = {t: v for (p, t), v in part.verdicts.items() if p == name}
-                tally.add(part.batch, verdicts, run=part.run, grasps=wanted[part.run])
-        scenes += scene_rows(object_id, splits[object_id], parts, rows, wanted)
-        for configuration in CONFIGURATIONS:
-            writers[configuration, splits[object_id]].add(rows, protocol)
-        if on_object is not None:
-            on_object(object_id)
-    for writer in writers.values():
-        writer.close()
-    table = scenes_table(scenes)
-    parquet.write_table(root / "scenes.parquet", table, ("object_id", "size_mm", "scene_id"))
-    return {name: tally.figures() for name, tally in tallies.items()}
-
-
-class _ConfigurationWriter:
-    """Writers of all row tables of one configuration and split; rows stay aligned."""
-
-    def __init__(
-        self, root: Path, configuration: str, split: str, header: Header, tests: Sequence[TestKey]
-    ):
-        self.configuration = configuration
-        suffix = "" if configuration == "selected" else f"_{configuration}"
-        self.grasps = parquet.TableWriter(
-            root / f"grasps{suffix}", split, tables.grasps_schema(header), SORTED_BY
-        )
-        self.contacts = parquet.TableWriter(
-            root / f"contacts{suffix}", split, tables.contacts_schema(header)
-        )
-        self.verdicts = {
-            (protocol, test): parquet.TableWriter(
-                root / f"verdicts{suffix}" / f"{protocol}-{test}",
-                split,
-                tables.verdicts_schema(header),
-            )
-            for protocol, test in tests
-        }
-
-    def add(self, rows: ObjectRows, protocol: str) -> None:
-        mine = rows.select(rows.batch[self.configuration])
-        self.grasps.add_object(grasps_table(mine, protocol))
-        self.contacts.add_object(contacts_table(mine))
-        for key, writer in self.verdicts.items():
-            writer.add_object(verdicts_table(mine, key))
-
-    def close(self) -> None:
-        for writer in (self.grasps, self.contacts, *self.verdicts.values()):
-            writer.close()
+    try:
+        for object_id in sorted(physics):
+            parts = list(rows_of(object_id))
+            unknown = sorted({part.run for part in parts} - set(wanted))
+            if unknown:
+                raise NotUsable(f"rows of run {unknown[0]!r}, which is not among the runs given")
+            rows = join_rows(object_id, parts, header, tests)
+            for part in parts:
+                for name, tally in tallies.items():
+                    verdicts = {t: v for (p, t), v in part.verdicts.items() if p == name}
+                    tally.add(part.batch, verdicts, run=part.run, grasps=wanted[part.run])
+            known = (splits[object_id], parts, rows, wanted, physics[object_id])
+            scenes += scene_rows(object_id, *known)
+            writers.add(rows, splits[object_id], protocol)
+            if on_object is not None:
+                on_object(object_id)
+        writers.close()
+    finally:
+        writers.stop()
+    write_statistics(root, writers.statistics)
+    figures = {name: tally.figures() for name, tally in tallies.items()}
+    return _Written(figures, scenes_table(scenes), writers.file_rows)
 
 
 def _write_hdf5(root: Path, form: Form, head: Mapping[str, Any], tests: Sequence[TestKey]) -> None:
@@ -289,16 +245,6 @@ def _write_hdf5(root: Path, form: Form, head: Mapping[str, Any], tests: Sequence
         suffix = "" if configuration == "selected" else f"_{configuration}"
         for table in ("grasps", "contacts", "verdicts"):
             shutil.rmtree(root / f"{table}{suffix}", ignore_errors=True)
-
-
-def _put_in_place(partial: Path, out: Path) -> None:
-    for path in partial.rglob("*"):
-        if path.is_file():
-            with path.open("rb") as file:
-                os.fsync(file.fileno())
-    if out.exists():
-        out.rmdir()  # empty: checked before
-    partial.rename(out)
 
 
 def _package_version() -> str:

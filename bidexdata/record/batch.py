@@ -19,7 +19,7 @@ from bidexdata.record.fields import ADDED_IN, FIELDS, STAGES, Field
 if TYPE_CHECKING:
     import pyarrow as pa
 
-SCHEMA_VERSION = "1.2"
+SCHEMA_VERSION = "1.3"
 _HEADER_KEY = b"bidexdata"
 
 
@@ -60,7 +60,7 @@ class Header:
 
     def lacks(self, name: str) -> bool:
         """Whether data with this header was written before the column `name` existed."""
-        return name in ADDED_IN and _number(self.schema_version) < _number(ADDED_IN[name])
+        return name in ADDED_IN and number_of(self.schema_version) < number_of(ADDED_IN[name])
 
     def axis(self, letter: str) -> int:
         """Length of the axis H, S, J or C, or the number that `letter` spells.
@@ -293,7 +293,8 @@ def _size_of(size_mm: np.ndarray) -> np.ndarray:
     return (size_mm / 1000).astype(np.float32)
 
 
-def _number(version: str) -> tuple[int, ...]:
+def number_of(version: str) -> tuple[int, ...]:
+    """A version as numbers, which compare as versions do."""
     return tuple(int(part) if part.isdecimal() else 0 for part in version.split("."))
 
 

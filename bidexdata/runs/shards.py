@@ -11,22 +11,20 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import socket
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bidexdata.errors import ConfigConflict, Contradiction, PathNotFound
 from bidexdata.runs.made_with import made_with
+from bidexdata.temporaries import orphans as orphans
+from bidexdata.temporaries import sync_folder, temporary_beside
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 _KEY = b"bidexdata_shard"
 _SUFFIX = ".arrow"
-STALE_AFTER = 24 * 3600.0
-"""Age at which another machine's temporary file is taken for an orphan [s]."""
 
 
 class Mark(NamedTuple):
@@ -164,7 +162,7 @@ def _damaged(path: Path, err: Exception) -> Contradiction:
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     """Let `write` fill a temporary file, sync it and rename it to `path`."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.parent / f".{path.name}.{socket.gethostname()}.{os.getpid()}.tmp"
+    temporary = temporary_beside(path, "tmp")
     try:
         write(temporary)
         with temporary.open("rb") as handle:
@@ -172,7 +170,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
-    _sync_folder(path.parent)
+    sync_folder(path.parent)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -193,38 +191,3 @@ def sweep(folders: Iterable[Path]) -> int:
                 path.unlink()
                 removed += 1
     return removed
-
-
-def orphans(temporaries: Iterable[Path]) -> Iterator[Path]:
-    """Yield those of some temporary files or folders whose writer is gone.
-
-    Their names end in `.<host>.<pid>.<anything>`; another machine's are orphans after a day.
-    """
-    host, now = socket.gethostname(), time.time()
-    for path in temporaries:
-        stem, _, pid = path.name.rpartition(".")[0].rpartition(".")
-        ours = stem.endswith(f".{host}") and pid.isdecimal()
-        with contextlib.suppress(OSError):
-            old = now - path.stat().st_mtime > STALE_AFTER
-            if old or (ours and not _alive(int(pid))):
-                yield path
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:  # it is there, and not ours
-        return True
-    return True
-
-
-def _sync_folder(folder: Path) -> None:
-    # The rename itself must survive a power cut; not every file system lets us ask for it.
-    with contextlib.suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)

@@ -6,6 +6,8 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -265,3 +267,60 @@ def test_a_manifest_of_something_else_is_a_contradiction(copied, content):
     (copied / "manifest.sha256").write_text(line)
     with pytest.raises(Contradiction, match="not a manifest"):
         Release.open(copied)
+
+
+def test_the_manifest_says_how_many_rows_every_file_has(packed):
+    from bidexdata.formats import parquet
+
+    listed = Release.open(packed).manifest["files"]
+    tables = {name: entry["rows"] for name, entry in listed.items() if "rows" in entry}
+    on_disk = [p.relative_to(packed).as_posix() for p in packed.glob("*/**/*.parquet")]
+    assert sorted(tables) == sorted(on_disk)
+    for name, rows in tables.items():
+        assert rows == sum(parquet.row_counts(packed / name))
+
+
+def test_two_packs_to_one_place_leave_one_whole_release(packed, tmp_path):
+    out, met = tmp_path / "release", threading.Barrier(2, timeout=60)
+    first = OBJECTS[0]
+
+    def pack(_: int) -> str:
+        try:
+            made_release(out, on_object=lambda object_id: met.wait() if object_id == first else 0)
+        except NotUsable as err:
+            return str(err)
+        return ""
+
+    with ThreadPoolExecutor(2) as pool:
+        said = sorted(pool.map(pack, range(2)))
+    assert said[0] == ""
+    assert "exists already" in said[1]
+    assert [p.name for p in tmp_path.iterdir()] == ["release"]
+    assert tree_bytes(out) == tree_bytes(packed)
+
+
+def test_a_failed_pack_leaves_nothing_and_ends_its_threads(tmp_path):
+    def rows_of(object_id):
+        raise NotUsable("no more rows")
+
+    before = threading.active_count()
+    with pytest.raises(NotUsable, match="no more rows"):
+        made_release(tmp_path / "r", rows_of=rows_of)
+    assert list(tmp_path.iterdir()) == []
+    assert threading.active_count() == before
+
+
+def test_an_error_of_a_writing_thread_ends_the_pack(tmp_path, monkeypatch):
+    from bidexdata.formats.content_hash import ContentTally
+
+    plain = ContentTally.add
+
+    def full(self, name, table):
+        if table.num_rows and "contacts" in name:
+            raise OSError(28, "No space left on device")
+        plain(self, name, table)
+
+    monkeypatch.setattr(ContentTally, "add", full)
+    with pytest.raises(OSError, match="No space left"):
+        made_release(tmp_path / "r")
+    assert list(tmp_path.iterdir()) == []

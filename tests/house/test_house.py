@@ -14,10 +14,10 @@ PACKAGE = ROOT / "bidexdata"
 
 # __main__ -> cli -> viewer -> runs -> loaders, formats -> synthesis | validation -> arms -> pictures
 # -> simulation -> objects, hands -> wrench, record -> frames, errors, config, devices, engine_log,
-# kinds, wording.
+# kinds, temporaries, wording.
 # Rooms on one floor do not import each other, but for the pairs in SAME_FLOOR.
 FLOORS = [
-    {"frames", "errors", "config", "devices", "engine_log", "kinds", "wording"},
+    {"frames", "errors", "config", "devices", "engine_log", "kinds", "temporaries", "wording"},
     {"wrench", "record"},
     {"objects", "hands"},
     {"simulation"},

@@ -17,7 +17,6 @@ import pytest
 
 from bidexdata.errors import ConfigConflict, Contradiction, PathNotFound
 from bidexdata.runs.shards import (
-    STALE_AFTER,
     check_mark,
     done_tasks,
     read_mark,
@@ -28,6 +27,7 @@ from bidexdata.runs.shards import (
     write_shard,
     write_text,
 )
+from bidexdata.temporaries import STALE_AFTER
 
 ROOT = Path(__file__).resolve().parents[2]
 pa = pytest.importorskip("pyarrow")

@@ -1,0 +1,69 @@
+"""What a release holds of each object: its folder, its two clouds and its row of the table.
+
+One object needs no other, so the caller may spread them over processes: an `ObjectPass` is a small
+value that can be sent to them, and each fills its own places of the files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bidexdata.formats import clouds
+from bidexdata.formats.object_table import object_row, shape_hash
+from bidexdata.objects.library import object_folder
+from bidexdata.objects.storage import solid_files
+
+if TYPE_CHECKING:
+    from bidexdata.objects.prepared import PreparedObject
+
+ObjectRow = dict[str, Any]
+EachObject = Callable[["ObjectPass", Sequence[str]], Iterable[tuple[str, ObjectRow]]]
+"""Does the pass for all objects, in any order and place; gives (object_id, row) pairs."""
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectPass:
+    """Where objects go."""
+
+    root: Path
+    """The release in the making."""
+    points: int
+    """Per object and cloud."""
+
+    def begin(self, objects: int) -> None:
+        """Make the cloud files, to be filled in by number: (objects, points, 3) float32."""
+        (self.root / "clouds").mkdir()
+        for kind in clouds.CLOUDS:
+            shape = (objects, self.points, 3)
+            np.lib.format.open_memmap(self._cloud(kind), "w+", np.float32, shape).flush()
+
+    def write(self, number: int, obj: PreparedObject) -> ObjectRow:
+        """Write the files and clouds of object `number`; give its row of the objects table."""
+        folder = self.root / object_folder(obj.object_id)
+        folder.mkdir(parents=True)
+        for name, data in solid_files(obj).items():  # the whole release is synced once, at its end
+            (folder / name).write_bytes(data)
+        for kind, mesh in zip(clouds.CLOUDS, (obj.solid, obj.mesh), strict=True):
+            at = (mesh.vertices, mesh.faces, self.points, f"{obj.object_id}/{kind}")
+            array = np.lib.format.open_memmap(self._cloud(kind), "r+")
+            array[number] = clouds.surface_cloud(*at)
+            del array
+        return object_row(obj, shape_hash(obj))
+
+    def _cloud(self, kind: str) -> Path:
+        return self.root / "clouds" / f"{kind}.npy"
+
+
+def one_by_one(load_object: Callable[[str], PreparedObject]) -> EachObject:
+    """Do the pass here, object after object."""
+
+    def each(one: ObjectPass, ids: Sequence[str]) -> Iterable[tuple[str, ObjectRow]]:
+        for number, object_id in enumerate(ids):
+            yield object_id, one.write(number, load_object(object_id))
+
+    return each
