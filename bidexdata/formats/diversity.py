@@ -48,14 +48,14 @@ class DiversityTally:
 
     def add(self, batch: GraspBatch, mask: NDArray[np.bool_]) -> None:
         """Count the marked rows whose numbers are all finite and whose rotations are some."""
-        if any(name not in batch for name in COLUMNS):
+        whole = finite_vectors(batch)
+        if whole is not None:
+            self.add_vectors(whole.vectors[mask[whole.rows]])
+
+    def add_vectors(self, vectors: NDArray[np.float64]) -> None:
+        """Count grasps by their vectors, all finite, (K, D)."""
+        if not len(vectors):
             return
-        mask = mask & _turns(batch.object_quat_wxyz)
-        mask &= _turns(batch.hand_quat_wxyz[:, :, GRASP]).all(axis=1)
-        if not mask.any():
-            return
-        vectors = grasp_vectors(batch.select(mask))
-        vectors = vectors[np.isfinite(vectors).all(axis=1)]
         if self._n == 0:
             size = vectors.shape[1]
             self._sum, self._products = np.zeros(size), np.zeros((size, size))
@@ -76,6 +76,31 @@ class DiversityTally:
         covariance = covariance[np.ix_(moving, moving)]
         scaled = covariance / np.outer(deviation[moving], deviation[moving])
         return Diversity(_first_share(covariance), _first_share(scaled))
+
+
+class FiniteVectors(NamedTuple):
+    """The grasps of a batch that count."""
+
+    rows: NDArray[np.integer]
+    """Their rows, (K,)."""
+    vectors: NDArray[np.float64]
+    """(K, D)."""
+
+
+def finite_vectors(batch: GraspBatch) -> FiniteVectors | None:
+    """Vectors of the rows whose numbers are all finite and whose rotations are some.
+
+    None where the batch has no poses.
+    """
+    if any(name not in batch for name in COLUMNS):
+        return None
+    good = _turns(batch.object_quat_wxyz)
+    good &= _turns(batch.hand_quat_wxyz[:, :, GRASP]).all(axis=1)
+    rows = np.flatnonzero(good)
+    posed = GraspBatch(batch.header, {name: batch[name][rows] for name in COLUMNS})
+    vectors = grasp_vectors(posed)
+    finite = np.isfinite(vectors).all(axis=1)
+    return FiniteVectors(rows[finite], vectors[finite])
 
 
 def grasp_vectors(batch: GraspBatch) -> NDArray[np.float64]:

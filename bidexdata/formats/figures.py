@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from bidexdata.formats.attempts import AttemptTally
-from bidexdata.formats.diversity import DiversityTally
+from bidexdata.formats.diversity import DiversityTally, finite_vectors
 from bidexdata.formats.groups import BOUNDED, GroupTally, hands_label
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.fields import HEADLINE
@@ -73,11 +73,8 @@ class Tally:
         selected, audit = _flags(batch)
         touched, new = self._note_scenes(batch, run)
         self._kept_of.update(np.unique(batch["scene_id"][selected]).tolist())
-        self._diversity[None].add(batch, selected)
-        self._audit_diversity[None].add(batch, audit)
+        self._add_diversity(batch, selected, audit, touched)
         for size in sorted(set(touched.values())):
-            self._diversity[size].add(batch, selected & (batch["size_mm"] == size))
-            self._audit_diversity[size].add(batch, audit & (batch["size_mm"] == size))
             if grasps is not None:
                 self._kept[size][0] += _number(selected & (batch["size_mm"] == size))
                 self._kept[size][1] += grasps * sum(1 for s in new if touched[s] == size)
@@ -156,6 +153,23 @@ class Tally:
     def groups(self, test: str, by: str) -> dict[str, Any]:
         """Figures of every group of the rows of a test; see `GroupTally.groups`."""
         return self._groups[test].groups(by)
+
+    def _add_diversity(
+        self,
+        batch: GraspBatch,
+        selected: np.ndarray,
+        audit: np.ndarray,
+        touched: Mapping[str, int],
+    ) -> None:
+        found = finite_vectors(batch)
+        if found is None:
+            return
+        sizes = batch["size_mm"][found.rows]
+        for tallies, chosen in ((self._diversity, selected), (self._audit_diversity, audit)):
+            mine = chosen[found.rows]
+            tallies[None].add_vectors(found.vectors[mine])
+            for size in sorted(set(touched.values())):
+                tallies[size].add_vectors(found.vectors[mine & (sizes == size)])
 
     def _note_scenes(self, batch: GraspBatch, run: str) -> tuple[dict[str, int], set[str]]:
         """Sizes of the scenes of a batch, and which of them this run had not touched before."""

@@ -45,7 +45,7 @@ class ObjectPass:
     def write(self, number: int, obj: PreparedObject) -> ObjectRow:
         """Write the files and clouds of object `number`; give its row of the objects table."""
         folder = self.root / object_folder(obj.object_id)
-        folder.mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=True)
         for name, data in solid_files(obj).items():  # the whole release is synced once, at its end
             (folder / name).write_bytes(data)
         for kind, mesh in zip(clouds.CLOUDS, (obj.solid, obj.mesh), strict=True):

@@ -7,15 +7,19 @@ both sums are kept as integers in these units. Nothing is rounded before a mean 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 UNIT = 149
 """Numbers are whole multiples of 2^-UNIT [-]. Source: the smallest subnormal float32."""
+_BITS = 24
+"""Of a float32's mantissa."""
+_LOWEST = _BITS - UNIT
+"""Exponent below which mantissas have fewer bits."""
 
 
 class Moments(NamedTuple):
@@ -61,18 +65,42 @@ def moments_of_runs(values: ArrayLike, starts: Sequence[int]) -> list[Moments]:
     """
     with np.errstate(invalid="ignore"):  # some bit patterns of NaN complain when they are widened
         numbers = np.asarray(values, np.float32).astype(np.float64)
+    ends = [*starts[1:], len(numbers)]
+    of_run = np.repeat(np.arange(len(ends)), np.diff([*starts, len(numbers)]))
     finite = np.isfinite(numbers)
-    numbers = np.where(finite, numbers, 0.0)
-    # Both products are exact in float64: 24 bits scaled, and 48 bits scaled.
-    units = [int(v) for v in (numbers * 2.0**UNIT).tolist()]
-    squares = [int(v) for v in (numbers * numbers * 2.0 ** (2 * UNIT)).tolist()]
-    counts = finite.tolist()
-    found = []
-    for first, last in zip(starts, [*starts[1:], len(units)], strict=True):
-        n = sum(counts[first:last])
-        run = Moments(n, sum(units[first:last]), sum(squares[first:last]))
-        found.append(run if n else NOTHING)
-    return found
+    counts = np.bincount(of_run[finite], minlength=len(ends)).tolist()
+    totals, squares = [0] * len(ends), [0] * len(ends)
+    for run, power, total, square in _sums(numbers[finite], of_run[finite]):
+        totals[run] += total << power
+        squares[run] += square << (2 * power)
+    return [Moments(n, totals[i], squares[i]) if n else NOTHING for i, n in enumerate(counts)]
+
+
+def _sums(
+    numbers: NDArray[np.float64], of_run: NDArray[np.integer]
+) -> Iterator[tuple[int, int, int, int]]:
+    """Sums of the numbers of each run that have one exponent.
+
+    Yields:
+        Run, power of two, and the sums of the mantissas, whole numbers of 24 bits in units of
+        2^(power - UNIT), and of their squares.
+    """
+    if not len(numbers):
+        return
+    exponent = np.maximum(np.frexp(numbers)[1], _LOWEST)
+    mantissa = np.ldexp(numbers, _BITS - exponent).astype(np.int64)
+    order = np.lexsort([exponent, of_run])
+    run, exponent, mantissa = of_run[order], exponent[order], mantissa[order]
+    new = (np.diff(run) != 0) | (np.diff(exponent) != 0)
+    first = np.concatenate([[0], np.flatnonzero(new) + 1])
+    square = mantissa * mantissa  # 48 bits: summed in halves, so that 63 are enough
+    sums = [
+        np.add.reduceat(part, first).tolist()
+        for part in (mantissa, square >> _BITS, square & ((1 << _BITS) - 1))
+    ]
+    powers = (exponent[first] - _BITS + UNIT).tolist()
+    for r, power, total, high, low in zip(run[first].tolist(), powers, *sums, strict=True):
+        yield r, power, total, (high << _BITS) + low
 
 
 def merged(parts: Iterable[Moments]) -> Moments:

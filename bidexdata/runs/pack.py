@@ -12,6 +12,7 @@ from bidexdata.config import differing_keys, to_plain
 from bidexdata.errors import NotUsable
 from bidexdata.runs.chosen import DEFAULT_PROTOCOL, chosen_protocol
 from bidexdata.runs.finished import Finished, Test
+from bidexdata.runs.pack_objects import in_processes
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.run import Run, join_tasks
 from bidexdata.runs.shards import read_mark, shard_path
@@ -93,7 +94,7 @@ def pack_runs(
         out: The release folder; must not exist or be empty.
         name: Name of the data set.
         version: Its version, X.Y.Z.
-        form: `both`, or `parquet` without the training form.
+        form: `both`, `parquet` without the training form, or `hdf5`: rows in that form alone.
         licences: `permissive` leaves out objects under any other or an unknown licence.
         protocol: Whose verdicts become `suc_*` and the metrics; `paper-1` or the only one that
             the runs have verdicts of when omitted.
@@ -148,6 +149,7 @@ def pack_runs(
             seed=seed,
             form=cast("Any", form),
             on_object=lambda object_id: progress.advance(note=object_id),
+            each_object=in_processes({i: run.library for i, run in objects.items()}),
         )
     unfinished = {r.name: len(r.run.tasks) - len(r.finished.rows) for r in runs}
     counts = [
