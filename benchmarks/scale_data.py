@@ -27,7 +27,7 @@ from bidexdata.config import fingerprint, to_plain
 from bidexdata.kinds import kind_of
 from bidexdata.objects.library import content_sha256, object_folder, write_index
 from bidexdata.objects.prepared import PreparedObject, SignedDistanceGrid, Solid, TriangleMesh
-from bidexdata.objects.storage import write_object
+from bidexdata.objects.storage import object_files, solid_files
 from bidexdata.record import FIELDS, GraspBatch, Status
 from bidexdata.record.fields import columns_written_by
 from bidexdata.record.scene import Scene
@@ -104,7 +104,7 @@ def _new_id(object_id: str, number: int) -> str:
 
 def _write_object(job: tuple[Source, str, str, Path]) -> dict[str, Any]:
     source, name, new_id, library = job
-    obj = _prepared(source.path, name)
+    obj, geometry = _prepared(source.path, name)
     rng = np.random.default_rng(int(new_id.rpartition("-")[2], 16))
 
     def moved(mesh: TriangleMesh) -> TriangleMesh:
@@ -114,11 +114,12 @@ def _write_object(job: tuple[Source, str, str, Path]) -> dict[str, Any]:
         obj,
         object_id=new_id,
         mesh=moved(obj.mesh),
-        solid=moved(obj.solid),
         pieces=tuple(moved(piece) for piece in obj.pieces),
     )
     folder = library / object_folder(new_id)
-    write_object(folder, obj)
+    folder.mkdir(parents=True)
+    for file, data in {**solid_files(obj), "geometry.npz": geometry}.items():
+        (folder / file).write_bytes(data)
     known = {k: obj.provenance.get(k) for k in ("source_name", "source", "licence", "author")}
     return {
         **known,
@@ -221,20 +222,25 @@ def _solid(path: Path, object_id: str) -> Solid:
 
 
 @cache
-def _prepared(path: Path, object_id: str) -> PreparedObject:
-    """From the run's library; of a release, with what it lacks made up (no stage reads it here)."""
+def _prepared(path: Path, object_id: str) -> tuple[PreparedObject, bytes]:
+    """From the run's library; of a release, with what it lacks made up (no stage reads it here).
+
+    Also the bytes of `geometry.npz`, which is the same for all copies.
+    """
     opened = _opened(path)
     if isinstance(opened, Run):
-        return opened.library.load(object_id)
-    solid = opened.load_solid(object_id)
+        obj = opened.library.load(object_id)
+    else:
+        obj = _completed(opened.load_solid(object_id))
+    return obj, object_files(obj)["geometry.npz"]
+
+
+def _completed(solid: Solid) -> PreparedObject:
     kept = {name: getattr(solid, name) for name in Solid.__slots__}
     starts = np.cumsum([0, *(len(p.vertices) for p in solid.pieces)])
-    union = TriangleMesh(
-        np.concatenate([p.vertices for p in solid.pieces]),
-        np.concatenate([p.faces + s for p, s in zip(solid.pieces, starts, strict=False)]).astype(
-            np.int32
-        ),
-    )
+    faces = [p.faces + s for p, s in zip(solid.pieces, starts, strict=False)]
+    vertices = np.concatenate([p.vertices for p in solid.pieces])
+    union = TriangleMesh(vertices, np.concatenate(faces).astype(np.int32))
     points = union.vertices.astype(np.float32)
     grid = SignedDistanceGrid(np.zeros((8, 8, 8), np.float32), np.full(3, -0.5), 1 / 7)
     made = {"surface_points": points, "surface_normals": points, "sdf": grid}
