@@ -88,7 +88,11 @@ def pack(out: Path) -> dict[str, Any]:
 
 
 def open_all(out: Path) -> dict[str, Any]:
-    """Open the release and a data set of all its selected rows."""
+    """Open the release and a data set of its training rows."""
+    import h5py  # noqa: F401
+    import pyarrow.parquet  # noqa: F401
+    import torch  # noqa: F401
+
     from bidexdata import BiDexDataset, Release
 
     start = time.perf_counter()

@@ -19,7 +19,7 @@ from bidexdata.objects.library import object_folder
 from bidexdata.objects.storage import solid_files
 
 if TYPE_CHECKING:
-    from bidexdata.objects.prepared import PreparedObject
+    from bidexdata.objects.prepared import PreparedObject, Solid, TriangleMesh
 
 ObjectRow = dict[str, Any]
 EachObject = Callable[["ObjectPass", Sequence[str]], Iterable[tuple[str, ObjectRow]]]
@@ -42,13 +42,19 @@ class ObjectPass:
             shape = (objects, self.points, 3)
             np.lib.format.open_memmap(self._cloud(kind), "w+", np.float32, shape).flush()
 
-    def write(self, number: int, obj: PreparedObject) -> ObjectRow:
-        """Write the files and clouds of object `number`; give its row of the objects table."""
+    def write(self, number: int, obj: Solid, union: TriangleMesh) -> ObjectRow:
+        """Write the files and clouds of one object; give its row of the objects table.
+
+        Args:
+            number: Of the object, in the order of their ids.
+            obj: The object.
+            union: Surface of the union of its pieces.
+        """
         folder = self.root / object_folder(obj.object_id)
         folder.mkdir(parents=True, exist_ok=True)
         for name, data in solid_files(obj).items():  # the whole release is synced once, at its end
             (folder / name).write_bytes(data)
-        for kind, mesh in zip(clouds.CLOUDS, (obj.solid, obj.mesh), strict=True):
+        for kind, mesh in zip(clouds.CLOUDS, (union, obj.mesh), strict=True):
             at = (mesh.vertices, mesh.faces, self.points, f"{obj.object_id}/{kind}")
             array = np.lib.format.open_memmap(self._cloud(kind), "r+")
             array[number] = clouds.surface_cloud(*at)
@@ -64,6 +70,7 @@ def one_by_one(load_object: Callable[[str], PreparedObject]) -> EachObject:
 
     def each(one: ObjectPass, ids: Sequence[str]) -> Iterable[tuple[str, ObjectRow]]:
         for number, object_id in enumerate(ids):
-            yield object_id, one.write(number, load_object(object_id))
+            obj = load_object(object_id)
+            yield object_id, one.write(number, obj, obj.solid)
 
     return each

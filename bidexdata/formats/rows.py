@@ -120,7 +120,7 @@ def grasps_table(rows: ObjectRows, protocol: str) -> pa.Table:
     import pyarrow as pa
 
     schema = grasps_schema(rows.batch.header)
-    arrays = {n: rows.batch.select(slice(None)).columns[n] for n in GRASP_COLUMNS}
+    arrays = {n: rows.batch.columns[n] for n in GRASP_COLUMNS}
     base = GraspBatch(rows.batch.header, arrays).to_arrow()
     columns = {n: base.column(n) for n in GRASP_COLUMNS}
     columns["run"] = pa.array(rows.run.tolist(), pa.string())

@@ -14,8 +14,8 @@ from bidexdata.errors import Contradiction, NotUsable, UnknownName
 from bidexdata.kinds import INDEX, expect_kind
 from bidexdata.record.status import Status
 
-from .prepared import PreparedObject, Solid
-from .storage import OBJECT_FILES, SCHEMA_VERSION, read_object, read_solid
+from .prepared import PreparedObject, Solid, TriangleMesh
+from .storage import OBJECT_FILES, SCHEMA_VERSION, read_object, read_solid, read_union
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -142,6 +142,16 @@ class Library:
             Contradiction: Its files are missing, damaged or not those of the index.
         """
         return read_solid(self._checked(object_id))
+
+    def load_shape(self, object_id: str) -> tuple[Solid, TriangleMesh]:
+        """Read what a release holds of an object: its solid, and the surface of its pieces' union.
+
+        Raises:
+            UnknownName: No prepared object is called so.
+            Contradiction: Its files are missing, damaged or not those of the index.
+        """
+        folder = self._checked(object_id)
+        return read_solid(folder), read_union(folder)
 
     def _checked(self, object_id: str) -> Path:
         folder = self.folder(object_id)

@@ -12,7 +12,7 @@ import os
 import shutil
 import socket
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -188,6 +188,16 @@ def read_solid(folder: Path) -> Solid:
         raise Contradiction(f"{folder}: object.json and pieces.npz do not fit ({err})") from err
 
 
+def read_union(folder: Path) -> TriangleMesh:
+    """Read the surface of the union of a prepared object's pieces, and nothing else of it.
+
+    Raises:
+        Contradiction: The file is missing or damaged.
+    """
+    names = ("solid_vertices", "solid_faces")
+    return _mesh(read_npz(folder / "geometry.npz", names), *names)
+
+
 def read_document(folder: Path) -> dict[str, Any]:
     """Read `object.json` and check its version.
 
@@ -228,15 +238,15 @@ def npz_bytes(arrays: Mapping[str, NDArray[Any]], *, compress: bool = False) -> 
     return buffer.getvalue()
 
 
-def read_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """Read all arrays of an npz archive.
+def read_npz(path: Path, names: Sequence[str] | None = None) -> dict[str, NDArray[Any]]:
+    """Read arrays of an npz archive: those that are named, or all.
 
     Raises:
         Contradiction: It is missing or damaged.
     """
     try:
         with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
+            return {name: archive[name] for name in names or archive.files}
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as err:
         raise Contradiction(f"{path} is missing or damaged ({type(err).__name__})") from err
 

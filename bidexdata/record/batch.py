@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -232,7 +233,27 @@ class GraspBatch:
 
 def arrow_schema(header: Header, names: Sequence[str]) -> pa.Schema:
     """Arrow schema of columns in the order given, with unit, frame, shape and text per field."""
+    return _schema_of(_Same(header), tuple(names))
+
+
+class _Same:
+    """A header as a key that only itself is equal to: headers hold dicts and are never changed."""
+
+    def __init__(self, header: Header):
+        self.header = header
+
+    def __hash__(self) -> int:
+        return id(self.header)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self.header is other.header
+
+
+@lru_cache(maxsize=64)
+def _schema_of(same: _Same, names: tuple[str, ...]) -> pa.Schema:
     import pyarrow as pa
+
+    header = same.header
 
     out = []
     for name in names:

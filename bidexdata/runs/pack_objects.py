@@ -44,7 +44,7 @@ def in_processes(
         one: ObjectPass, objects: Iterable[tuple[int, str]]
     ) -> Iterable[tuple[str, ObjectRow]]:
         for number, object_id in objects:
-            yield object_id, one.write(number, libraries[object_id].load(object_id))
+            yield object_id, one.write(number, *libraries[object_id].load_shape(object_id))
 
     def each(one: ObjectPass, ids: Sequence[str]) -> Iterable[tuple[str, ObjectRow]]:
         if len(ids) < FEW:
@@ -61,7 +61,7 @@ def in_processes(
 def write_chunk(chunk: ObjectChunk) -> list[tuple[str, ObjectRow]]:
     """Write the files and clouds of some objects; give their rows."""
     library = _library(chunk.library, chunk.fingerprint)
-    return [(i, chunk.one.write(number, library.load(i))) for number, i in chunk.objects]
+    return [(i, chunk.one.write(number, *library.load_shape(i))) for number, i in chunk.objects]
 
 
 def _chunks(

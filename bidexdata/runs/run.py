@@ -244,7 +244,16 @@ class Run:
         return self.stage_folder("validate", protocol, test)
 
     def _verdict_mark(self, protocol: str, test: str) -> str:
-        return verdict_fingerprint(self, self.protocol(protocol), test)
+        path = self.path / "validate" / protocol / PROTOCOL_FILE
+        stamp = path.stat().st_mtime_ns if path.is_file() else 0
+        if (protocol, test, stamp) not in self._marks:
+            mark = verdict_fingerprint(self, self.protocol(protocol), test)
+            self._marks[protocol, test, stamp] = mark
+        return self._marks[protocol, test, stamp]
+
+    @cached_property
+    def _marks(self) -> dict[tuple[str, str, int], str]:
+        return {}  # a run has thousands of shards of one protocol
 
     def _source(self) -> Path:
         path = (self.path / self.spec.source).resolve()
