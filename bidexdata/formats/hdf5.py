@@ -174,6 +174,8 @@ def read_rows(
             else:
                 values = group[field.name][low:high]
             arrays.append(_arrow_array(np.asarray(values), field))
+    if len({len(array) for array in arrays}) > 1:
+        raise Contradiction(f"{path}: columns of {table} differ in length")
     return pa.Table.from_arrays(arrays, schema=schema)
 
 

@@ -9,7 +9,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from bidexdata.errors import Contradiction
-from bidexdata.formats import parquet, tables
+from bidexdata.formats import hdf5, parquet, tables
 from bidexdata.formats.clouds import CLOUDS
 from bidexdata.formats.hand_files import hand_folder, header_of
 from bidexdata.formats.object_table import shape_hash
@@ -39,6 +39,8 @@ def row_tables(release: Release) -> str:
             for file in files:
                 _same_schema(parquet.read_schema(file), schema, str(file), header)
             groups = [(file.name, parquet.row_counts(file)) for file in files]
+            if release.form == "hdf5":
+                groups = [(s, _hdf5_rows(release, table, configuration, s)) for s in release.splits]
             if aligned not in (None, groups):
                 raise Contradiction(f"{table} ({configuration}) has other rows than grasps")
             aligned = groups
@@ -153,6 +155,15 @@ def read_tree(release: Release, name: str, side: str) -> dict[str, Any]:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as err:
         raise Contradiction(f"{path}: unreadable hand ({err})") from err
+
+
+def _hdf5_rows(release: Release, table: str, configuration: str, split: str) -> list[int]:
+    """Rows of one split of a table in `grasps.h5`; its last row must be whole."""
+    rows = hdf5.count_rows(release.path, configuration, split)
+    last = release.hdf5_rows(table, configuration, split, max(rows - 1, 0), rows)
+    if last.num_rows != min(rows, 1):
+        raise Contradiction(f"{table} ({configuration}, {split}) has fewer rows than grasps")
+    return [rows]
 
 
 def _same_schema(found: pa.Schema, expected: pa.Schema, where: str, header: Header) -> None:

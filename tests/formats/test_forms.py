@@ -24,6 +24,7 @@ from bidexdata.errors import Contradiction, UnknownChoice, UnknownName
 from bidexdata.formats import hdf5
 from bidexdata.formats.release import Release, ReleaseRows
 from bidexdata.formats.tables import CONTACT_COLUMNS, GRASP_COLUMNS, VERDICT_COLUMNS
+from bidexdata.formats.verify import verify_release
 from bidexdata.formats.writer import check_names
 from bidexdata.record import FIELDS, GraspBatch, Header, Status
 from bidexdata.record.batch import fill_value
@@ -261,3 +262,19 @@ def test_rows_of_an_older_schema_are_read_by_object(copied):
     as_schema_1_0(copied)
     release = Release.open(copied)
     assert len(release.grasps(OBJECT)) == made_rows(OBJECT).batch["selected"].sum()
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_every_form_keeps_the_laws(alone, full):
+    report = verify_release(alone.path, full=full)
+    assert report.ok, report.to_dict()
+
+
+def test_a_column_of_fewer_rows_is_found(tmp_path):
+    root = made_release(tmp_path / "r", form="hdf5")
+    with h5py.File(root / "grasps.h5", "r+") as file:
+        group = file["selected/train"]
+        short = group.pop("seed")[:-1]
+        group.create_dataset("seed", data=short)
+    with pytest.raises(Contradiction, match="columns of grasps differ in length"):
+        list(Release.open(root).row_groups("grasps"))

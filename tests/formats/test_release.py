@@ -3,10 +3,12 @@
 import filecmp
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -324,3 +326,44 @@ def test_an_error_of_a_writing_thread_ends_the_pack(tmp_path, monkeypatch):
     with pytest.raises(OSError, match="No space left"):
         made_release(tmp_path / "r")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_a_pack_that_is_killed_at_any_moment_leaves_nothing_wrong(packed, tmp_path):
+    """Twenty times, at random moments; then the next one completes."""
+    from bidexdata.formats.verify import verify_release
+
+    code = (
+        "import sys; from pathlib import Path; from made_release import made_release\n"
+        "import bidexdata.formats.verify, h5py, mujoco\n"
+        "print('go', flush=True); made_release(Path(sys.argv[1]))\n"
+    )
+    tests = Path(__file__).resolve().parents[1]
+    env = {**os.environ, "PYTHONPATH": f"{tests}:{tests.parent}"}
+    out, rng = tmp_path / "release", np.random.default_rng(0)
+
+    def start() -> subprocess.Popen:
+        command = [sys.executable, "-c", code, str(out)]
+        process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE)
+        process.stdout.readline()
+        return process
+
+    process, began = start(), time.monotonic()
+    process.communicate()
+    longest = time.monotonic() - began
+    expected, left = tree_bytes(packed), 0
+    for _ in range(20):
+        shutil.rmtree(out, ignore_errors=True)
+        process = start()
+        time.sleep(rng.uniform(0, longest))
+        process.kill()
+        process.communicate()
+        if out.exists():
+            assert verify_release(out).ok
+            assert tree_bytes(out) == expected
+        left += any(p != out for p in tmp_path.iterdir())
+    assert left > 0  # some were killed on the way
+    shutil.rmtree(out, ignore_errors=True)
+    made_release(out)
+    assert [p.name for p in tmp_path.iterdir()] == ["release"]
+    assert tree_bytes(out) == expected
