@@ -3,7 +3,8 @@
 Makes a large run of real grasps (`benchmarks.scale_data`) in DIR/run, packs it into DIR/release and
 measures, each in a process of its own:
 
-- pack: seconds, and the peak memory of the process and all that it starts, without pages of files;
+- pack: seconds, processor seconds of the process (rows) and of those it starts (objects), and the peak
+  memory of all of them, without pages of files;
 - bytes per row of the grasps table;
 - open: seconds of `Release.open` and `BiDexDataset(...)`, imports not counted;
 - batches: milliseconds of random 256-row batches among the first 100,000 rows and among all, in turn,
@@ -18,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -84,7 +86,12 @@ def pack(out: Path) -> dict[str, Any]:
     start = time.perf_counter()
     form = os.environ.get("SCALE_FORM", "both")
     pack_runs([out / "run"], out / "release", name="scale", version="1.0.0", form=form, quiet=True)
-    return {"pack_seconds": time.perf_counter() - start}
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return {
+        "pack_seconds": time.perf_counter() - start,
+        "pack_cpu_seconds_rows": time.process_time(),
+        "pack_cpu_seconds_objects": children.ru_utime + children.ru_stime,
+    }
 
 
 def open_all(out: Path) -> dict[str, Any]:

@@ -36,6 +36,11 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
+ALIGNMENT = 64
+"""Datasets begin at multiples of this [bytes]: `np.take` copies the whole of an array that does not
+begin at a multiple of its numbers' size."""
+
+
 def write_training_form(
     root: Path,
     splits: Sequence[str],
@@ -54,8 +59,10 @@ def write_training_form(
     """
     import h5py
 
+    path, bounds = root / TRAINING_FILE, ("v110", "v114")
+    aligned = {"alignment_threshold": 1, "alignment_interval": ALIGNMENT}
     # Without track_times the same rows give the same bytes.
-    with h5py.File(root / TRAINING_FILE, "w", libver=("v110", "v114"), track_order=True) as file:
+    with h5py.File(path, "w", libver=bounds, track_order=True, **aligned) as file:
         for key, text in (about or {"schema_version": SCHEMA_VERSION}).items():
             file.attrs[key] = text
         for configuration in CONFIGURATIONS:

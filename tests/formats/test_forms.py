@@ -224,6 +224,23 @@ def test_the_file_says_what_it_is(packed):
             assert sum(c["width"] for c in layout.values()) == file[f"audit/test/{part}"].shape[1]
 
 
+def test_every_array_begins_where_numpy_gathers_without_a_copy(packed, tmp_path):
+    alone = made_release(tmp_path / "r", form="hdf5")
+    offsets = []
+
+    def note(_: str, item: object) -> None:
+        if isinstance(item, h5py.Dataset) and item.size:
+            offsets.append(item.id.get_offset())
+
+    for root in (packed, alone):
+        with h5py.File(root / "grasps.h5") as file:
+            file.visititems(note)
+    assert len(offsets) > 100
+    assert not [at for at in offsets if at % 64]
+    mapped = hdf5.map_values(packed, "selected", "train")
+    assert mapped.values.flags.aligned
+
+
 def test_columns_that_are_not_there_are_named(packed, tmp_path):
     with pytest.raises(UnknownName, match="did you mean 'joints'"):
         hdf5.map_columns(packed, "selected", "train", ["joint"])
