@@ -1,43 +1,46 @@
 """BiDexDataset: a release as a map-style torch dataset, batched access first.
 
-Float columns are one row-major array: mapped from the training form where the release has one,
-read from Parquet into memory otherwise. A batch is one `np.take`; clouds are stored once per
-object and gathered per batch.
+Opening reads the scenes table, no column of the rows but those that `fields` or `where` name. Float
+columns are one row-major array: mapped from the training form where the release has one, read from
+Parquet into memory otherwise. A batch is one gather; clouds are stored once per object.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from importlib.util import find_spec
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from jaxtyping import Int
 
-from bidexdata.errors import BadConfig, MissingExtra, UnknownName
-from bidexdata.formats import hdf5
+from bidexdata.errors import UnknownName
 from bidexdata.formats.release import Release
-from bidexdata.formats.tables import CONFIGURATIONS, CONTACT_COLUMNS
-from bidexdata.loaders.collation import RowBatch
-from bidexdata.loaders.filters import Where, columns_named, matching_rows, scalar_values
-from bidexdata.loaders.poses import points_in_world, poses_in_object_frame
+from bidexdata.formats.tables import CONFIGURATIONS
+from bidexdata.loaders.assembly import Assembly, Selection, columns_needed
+from bidexdata.loaders.collation import RowBatch, as_tensordict
+from bidexdata.loaders.filters import Where, columns_named, matching_rows, rows_by_function
+from bidexdata.loaders.items import GraspItem
+from bidexdata.loaders.options import DEFAULT_FIELDS as DEFAULT_FIELDS
+from bidexdata.loaders.options import ItemOptions, require_torch
+from bidexdata.loaders.row_source import RowSource
+from bidexdata.loaders.stored import ScalarColumns
 from bidexdata.record.fields import TESTS
 
 log = logging.getLogger(__name__)
 
-DEFAULT_FIELDS = ("hand_pos", "hand_quat_wxyz", "joints", "size_mm", "size")
-_POSE_OF_OBJECT = ("object_pos", "object_quat_wxyz")
-_HAND_POSES = ("hand_pos", "hand_quat_wxyz")
-_ALWAYS = ("object_id", "setting")
+Transform = Callable[[dict[str, Any]], dict[str, Any]]
 
 
 class BiDexDataset:
     """Grasps of a release, one item per grasp.
 
-    An item is a dict: the fields asked for, `object_index` (into `object_ids`) and, unless
-    `cloud=None`, the object's points at the grasp's size [m]. Loads selected rows unless told
-    otherwise; selected rows are better than what the generator makes on average.
+    An item is a dict (`loaders.items.GraspItem`): the fields asked for, `object_index` (into
+    `object_ids`) and, unless `cloud=None`, the object's points at the grasp's size [m]. Loads
+    selected rows unless told otherwise; selected rows are better than what the generator makes on
+    average.
 
     A field `suc_*` is False also where the test was not run: choose tested rows by
     `where="suc_f or not suc_f"`.
@@ -58,6 +61,13 @@ class BiDexDataset:
         cloud: str | None = "cloud_solid",
         points: int = 1024,
         configuration: str = "selected",
+        clouds: str = "expand",
+        quat_order: str = "wxyz",
+        rotation: str = "quat",
+        augment: Sequence[str] = (),
+        seed: int = 0,
+        as_tensordict: bool = False,
+        transform: Transform | None = None,
     ):
         """Open a release and choose rows.
 
@@ -72,60 +82,140 @@ class BiDexDataset:
             cloud: `cloud_solid`, `cloud_mesh` or None.
             points: Points per cloud, the first of the stored farthest-point order.
             configuration: `selected` or `audit`.
+            clouds: `expand` gives every grasp its cloud; `unique` gives each cloud of a batch once,
+                and `point_index` says which is each grasp's (`expand_clouds` expands).
+            quat_order: `wxyz` or `xyzw`; keys end in the order, as `hand_quat_xyzw`.
+            rotation: `quat`, `6d` (`hand_rot6d`: first column of the matrix, then the second) or
+                `matrix` (`hand_matrix`).
+            augment: `yaw`, `mirror` or both: see `loaders.augment`; drawn anew by `set_epoch`.
+            seed: Seed of the augmentation.
+            as_tensordict: Give `tensordict.TensorDict` instead of dict.
+            transform: Called with each batch (a dict of tensors, leading axis B), gives the batch.
 
         Raises:
-            MissingExtra: torch is not installed.
+            MissingExtra: torch, or tensordict where it is asked for, is not installed.
             PathNotFound: There is no release at `root`.
-            UnknownName: No such split, field, cloud or configuration.
-            BadConfig: `where` cannot be read, or fewer points are stored than asked for.
+            UnknownName: No such split, field, cloud, configuration or option.
+            BadConfig: `where` cannot be read, fewer points are stored than asked for, options
+                exclude each other, or the hands have no mirror images.
         """
-        _require_torch()
+        require_torch()
         self.release = Release.open(root)
-        self.split, self.frame, self.configuration = split, frame, configuration
-        self.where = where
+        self.split, self.configuration = split, configuration
         if split is not None and split not in self.release.split_names:
             raise UnknownName("split", str(split), self.release.split_names)
-        if frame not in ("object", "world"):
-            raise UnknownName("frame", frame, ("object", "world"))
         if configuration not in CONFIGURATIONS:
             raise UnknownName("configuration", configuration, CONFIGURATIONS)
-        self.fields = tuple(fields) if fields is not None else DEFAULT_FIELDS
-        self.cloud, self.points = cloud, points
+        self.options = ItemOptions(
+            fields=tuple(fields) if fields is not None else DEFAULT_FIELDS,
+            frame=frame,
+            cloud=cloud,
+            points=points,
+            clouds=clouds,
+            quat_order=quat_order,
+            rotation=rotation,
+            augment=tuple(augment),
+            seed=seed,
+        )
+        self.epoch, self.transform = 0, transform
+        self._tensordict = as_tensordict
+        if as_tensordict:
+            _require_tensordict(self.options)
+        self._where = None if where is None else getattr(where, "__name__", repr(where))
         self._open()
+        self._rows = self._chosen(where)
         log.info("%r", self)
-        self._warn_of_untested()
-        if where is not None and self._total and not len(self):
-            log.warning("where=%s keeps none of %d grasps", self._where_name(), self._total)
+        self._warn_of_untested(columns_named(where) or ())
+        if where is not None and len(self._index) and not len(self):
+            log.warning("where=%s keeps none of %d grasps", self._where, len(self._index))
 
     def __len__(self) -> int:
         """Number of grasps chosen."""
-        return len(self._rows)
+        return len(self._index) if self._rows is None else len(self._rows)
 
-    def __getitem__(self, index: int) -> dict[str, Any]:
+    def __getitem__(self, index: int) -> GraspItem:
         """Give one grasp as tensors (text fields as str)."""
-        return self.__getitems__([index])[0]
+        return cast(GraspItem, self.__getitems__([index])[0])
 
     def __getitems__(self, indices: Sequence[int]) -> RowBatch:
         """Give many grasps at once: what a DataLoader calls."""
         chosen = np.asarray(indices, np.int64)
-        if len(chosen) and not (-len(self) <= chosen.min() and chosen.max() < len(self)):
-            raise IndexError(f"this dataset has {len(self)} grasps")
-        return RowBatch(self._read(self._rows[chosen]), len(chosen))
+        return RowBatch(self.read(self.rows(chosen)), len(chosen))
 
-    def _warn_of_untested(self) -> None:
+    def rows(self, indices: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+        """Rows of the split that items are, by their numbers; negative ones count from the end.
+
+        Raises:
+            IndexError: There is no such item.
+        """
+        count = len(self)
+        # Seen as unsigned, a negative number is a large one: one look finds both kinds of fault.
+        if len(indices) and indices.view(np.uint64).max() >= count:
+            if indices.min() < -count or indices.max() >= count:
+                raise IndexError(f"this dataset has {count} grasps")
+            indices = np.where(indices < 0, indices + count, indices)
+        return indices if self._rows is None else self._rows[indices]
+
+    def objects_of(self, indices: Sequence[int]) -> Int[np.ndarray, " n"]:
+        """`object_index` of some items, without reading them."""
+        rows = self.rows(np.asarray(indices, np.int64))
+        return self._index.object_index[rows].astype(np.int64)
+
+    def read(self, rows: Int[np.ndarray, " n"], key: Int[np.ndarray, " n"] | None = None) -> Any:
+        """Read rows of the split as a batch of tensors.
+
+        Args:
+            rows: Rows of the configuration and split, not negative.
+            key: What augmentation is drawn by for each; the row when omitted.
+        """
+        found, text = self._source.take(rows)
+        objects = np.take(self._index.object_index, rows).astype(np.int64)
+        kind = None if self._kind is None else np.take(self._kind, rows)
+        selection = Selection(rows if key is None else key, objects, kind)
+        batch = self._assembly.batch(found, text, selection, self.epoch)
+        if self.transform is not None:
+            batch = self.transform(batch)
+        return as_tensordict(batch, len(rows)) if self._tensordict else batch
+
+    def set_epoch(self, epoch: int) -> None:
+        """Draw augmentation anew. Workers that persist between epochs do not see it."""
+        self.epoch = epoch
+
+    def warm(self) -> int:
+        """Read one byte of every page of the mapped rows, so that batches meet no cold page.
+
+        The first touch of a mapped page costs about as much as the copy of a row. For releases that
+        fit into memory.
+
+        Returns:
+            Bytes that are mapped.
+        """
+        return self._source.warm()
+
+    def _warn_of_untested(self, named: Sequence[str]) -> None:
         """Warn where `suc_*` are False for want of a test: of all, or of one that is asked for."""
         tests = self.release.figures.get("tests", {})
         run = {name for name, t in tests.items() if t["selected"]["n"] or t["by_verdict"]}
         if not run:
             log.warning("%s was never tested: its suc_* are False everywhere", self.release.path)
             return
-        asked = {*self.fields, *(columns_named(self.where) or ())}
+        asked = {*self.fields, *named}
         for name in (f"suc_{t}" for t in TESTS if t not in run):
             if name in asked:
                 log.warning(
                     "%s holds no verdict of test %s: no row has %s",
                     *(self.release.path, name.removeprefix("suc_"), name),
                 )
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Columns of an item, by their names in the field table."""
+        return self.options.fields
+
+    @property
+    def frame(self) -> str:
+        """Frame of hand poses and clouds."""
+        return self.options.frame
 
     @property
     def object_ids(self) -> tuple[str, ...]:
@@ -142,147 +232,106 @@ class BiDexDataset:
         """Names of the H axis."""
         return tuple(hand.side for hand in self.release.hands)
 
+    @property
+    def object_rows(self) -> Int[np.ndarray, " K"]:
+        """Items of each object that has some, in the order of the items: for `ObjectSampler`."""
+        return _run_lengths(self._of_rows(self._index.object_index))
+
+    @cached_property
+    def case_ends(self) -> Int[np.ndarray, " G"]:
+        """Item behind the last of each scene that has some, in the order of the items."""
+        return np.cumsum(_run_lengths(self._of_rows(self._index.scene_index)))
+
+    def scene_of(self, item: int) -> int:
+        """Number of an item's scene, which `scene_ids` counts."""
+        row = item if self._rows is None else int(self._rows[item])
+        return int(self._index.scene_index[row])
+
+    @property
+    def scene_ids(self) -> tuple[str, ...]:
+        """Scenes of the split."""
+        return self._index.scene_ids
+
     def __repr__(self) -> str:
         """Say what is loaded, that it is a selection, and whose verdicts `suc_*` are."""
         rows = "selected rows only" if self.configuration == "selected" else "audit rows only"
-        where = "" if self.where is None else f", where={self._where_name()}"
+        where = "" if self._where is None else f", where={self._where}"
         return (
             f"BiDexDataset({self.release.name} {self.release.version}, split={self.split!r}, "
-            f"{rows}, {len(self)} of {self._total} grasps{where}, frame={self.frame!r}, "
+            f"{rows}, {len(self)} of {len(self._index)} grasps{where}, frame={self.frame!r}, "
             f"suc_* by {self.release.default_protocol})"
         )
 
-    @property
-    def _splits(self) -> tuple[str, ...]:
-        return self.release.split_names if self.split is None else (self.split,)
-
-    def _where_name(self) -> str:
-        return getattr(self.where, "__name__", repr(self.where))
-
     def __getstate__(self) -> dict[str, Any]:
         # Workers map the files themselves; sending arrays would copy the whole table.
-        kept = {k: v for k, v in self.__dict__.items() if k not in ("_values", "_ends", "_cloud")}
+        dropped = ("_source", "_assembly", "_index", "_scalars", "_kind", "case_ends")
+        kept = {k: v for k, v in self.__dict__.items() if k not in dropped}
         return {**kept, "release": self.release.path}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self.release = Release.open(state["release"])
-        self._map()
+        self._open()
 
     def _open(self) -> None:
-        scalars = self._scalar_columns()
-        self._map()
-        known = {*self._columns, *scalars, *hdf5.INTEGER_LISTS, *CONTACT_COLUMNS, "size"}
-        for name in self.fields:
-            if name not in known:
-                raise UnknownName("field", name, sorted(known))
-        named = columns_named(self.where)
-        for name in named or ():
-            if name not in scalars:
-                raise UnknownName("column", name, scalars, "in where")
-        mine = [n for n in self.fields if n in scalars and n not in self._columns]
-        apart = (*hdf5.INTEGER_LISTS, *CONTACT_COLUMNS)
-        lists = [n for n in self.fields if n in apart and n not in self._columns]
         place = (self.configuration, self.split)
-        size = "size" if "size" in scalars else "size_mm"
-        needed = [*mine, *_ALWAYS, size, *(scalars if named is None else named)]
-        index = self.release.index(*place, list(dict.fromkeys(needed)))
-        self._total = index.num_rows
-        self._rows = matching_rows(self.where, index)
-        parts = [
-            hdf5.map_columns(self.release.path, self.configuration, split, lists)
-            for split in self._splits
-        ]
-        self._lists = {name: np.concatenate([part[name] for part in parts]) for name in lists}
-        ids = scalar_values(index.column("object_id"))
-        self._object_index = np.searchsorted(np.array(self.release.object_ids), ids)
-        sizes = scalar_values(index.column(size))
-        self._sizes = sizes if size == "size" else (sizes / 1000).astype(np.float32)
-        self._scalars = {n: scalar_values(index.column(n)) for n in mine}
-        if "size" in self.fields and "size" not in self._columns:
-            self._scalars["size"] = self._sizes
+        self._index = self.release.row_index(*place)
+        self._scalars = ScalarColumns(self.release, *place, self._index)
         # Floating scenes have the identity pose: nothing to convert (docs/conventions.md).
-        self._moved = bool(np.any(scalar_values(index.column("setting")) != "floating"))
+        on_table = bool(self._index.tabletop.any())
+        names = columns_needed(self.options, on_table=on_table)
+        self._source = RowSource(self._scalars, names)
+        self._assembly = Assembly(self.release, self.options, on_table=on_table)
+        self._kind = self._kinds()
 
-    def _map(self) -> None:
-        root = self.release.path
-        parts = [
-            hdf5.map_values(root, self.configuration, split)
-            or hdf5.read_values(root, self.configuration, split)
-            for split in self._splits
-        ]
-        self._values = [part.values for part in parts]
-        self._ends = np.cumsum([len(values) for values in self._values])
-        self._columns = parts[0].columns  # the same in all splits
-        self._cloud = None
-        if self.cloud is not None:
-            stored = self.release.cloud(self.cloud)
-            if self.points > stored.shape[1]:
-                raise BadConfig(
-                    f"points={self.points}, but the release stores {stored.shape[1]} per object"
-                )
-            # Contiguous, because np.take copies the whole of anything else.
-            self._cloud = np.ascontiguousarray(stored[:, : self.points])
+    def _kinds(self) -> Int[np.ndarray, " N"] | None:
+        """Number of each row's object and size, if clouds are kept at their sizes."""
+        if self._assembly.clouds is None:
+            return None
+        index = self._index
+        sizes_mm = self.release.scenes.column("size_mm").to_numpy()[index.scene_rows]
+        pairs = np.stack([index.scene_objects, sizes_mm], axis=1)
+        pairs, kind = np.unique(pairs, axis=0, return_inverse=True)
+        # Of scenes with whole millimetres; rows of other sizes are found and scaled per batch.
+        sizes = (pairs[:, 1] / 1000).astype(np.float32)
+        if not self._assembly.clouds.keep(pairs[:, 0], sizes):
+            return None
+        return np.repeat(kind.reshape(-1).astype(np.int32), index.counts)
 
-    def _scalar_columns(self) -> list[str]:
-        import pyarrow as pa
+    def _chosen(self, where: Where) -> Int[np.ndarray, " n"] | None:
+        if where is None:
+            return None
+        if callable(where):
+            return rows_by_function(where, self._scalars, len(self._index))
+        names = columns_named(where) or []
+        for name in names:
+            if name not in self._scalars:
+                raise UnknownName("column", name, list(self._scalars), "in where")
+        if not names:
+            # Without a column there is no length; any will do.
+            names = ["size_mm"]
+        return matching_rows(where, self._scalars.table(names))
 
-        schema = self.release.table_schema("grasps", self.configuration)
-        return [f.name for f in schema if not pa.types.is_fixed_size_list(f.type)]
-
-    def _read(self, rows: np.ndarray) -> dict[str, Any]:
-        import torch
-
-        block = self._floats(rows)
-        found = {n: self._column(block, n) for n in self.fields if n in self._columns}
-        if self._moved and self.frame == "object" and any(n in found for n in _HAND_POSES):
-            pose = dict(zip(_HAND_POSES, self._hands_in_object(block), strict=True))
-            found |= {n: v for n, v in pose.items() if n in found}
-        batch: dict[str, Any] = {}
-        for name in self.fields:
-            if name in found:
-                batch[name] = torch.from_numpy(np.ascontiguousarray(found[name]))
-            elif name in self._lists:
-                batch[name] = torch.from_numpy(self._lists[name][rows])
-            else:
-                values = self._scalars[name][rows]
-                text = values.dtype.kind == "U"
-                batch[name] = values.tolist() if text else torch.from_numpy(values)
-        objects = self._object_index[rows]
-        batch["object_index"] = torch.from_numpy(objects)
-        if self._cloud is not None and self.cloud is not None:
-            batch[self.cloud] = torch.from_numpy(self._clouds(rows, objects, block))
-        return batch
-
-    def _floats(self, rows: np.ndarray) -> np.ndarray:
-        """Float columns of some rows; those of each split are an array of their own."""
-        if len(self._values) == 1:
-            return np.take(self._values[0], rows, axis=0)
-        block = np.empty((len(rows), self._values[0].shape[1]), np.float32)
-        part = np.searchsorted(self._ends, rows, side="right")
-        for k, values in enumerate(self._values):
-            mine = part == k
-            block[mine] = np.take(values, rows[mine] - self._ends[k] + len(values), axis=0)
-        return block
-
-    def _column(self, block: np.ndarray, name: str) -> np.ndarray:
-        place, shape = self._columns[name]
-        return block[:, place].reshape(len(block), *shape)
-
-    def _hands_in_object(self, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        pos, quat = (self._column(block, n) for n in _POSE_OF_OBJECT)
-        return poses_in_object_frame(pos, quat, *(self._column(block, n) for n in _HAND_POSES))
-
-    def _clouds(self, rows: np.ndarray, objects: np.ndarray, block: np.ndarray) -> np.ndarray:
-        assert self._cloud is not None
-        cloud = np.asarray(np.take(self._cloud, objects, axis=0))
-        cloud *= self._sizes[rows][:, None, None]
-        if self._moved and self.frame == "world":
-            pos, quat = (self._column(block, n) for n in _POSE_OF_OBJECT)
-            cloud = points_in_world(pos, quat, cloud)
-        return cloud
+    def _of_rows(self, values: np.ndarray) -> np.ndarray:
+        return values if self._rows is None else values[self._rows]
 
 
-def _require_torch() -> None:
-    if find_spec("torch") is None:
-        raise MissingExtra("torch")
+def _run_lengths(values: np.ndarray) -> np.ndarray:
+    if not len(values):
+        return np.zeros(0, np.int64)
+    starts = np.flatnonzero(np.diff(values, prepend=values[0] - 1))
+    return np.diff(starts, append=len(values))
+
+
+def _require_tensordict(options: ItemOptions) -> None:
+    from importlib.util import find_spec
+
+    from bidexdata.errors import BadConfig, MissingExtra
+
+    if find_spec("tensordict") is None:
+        raise MissingExtra("tensordict")
+    if options.clouds == "unique":
+        raise BadConfig(
+            "a TensorDict has one leading axis, and clouds='unique' gives two; use clouds='expand' "
+            "or plain dicts"
+        )

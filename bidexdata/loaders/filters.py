@@ -48,12 +48,37 @@ def matching_rows(where: Where, index: pa.Table) -> NDArray[np.int64]:
     if where is None:
         return np.arange(index.num_rows)
     if callable(where):
-        return _by_function(where, index)
+        columns = {n: scalar_values(index.column(n)) for n in index.schema.names}
+        return rows_by_function(where, columns, index.num_rows)
     if isinstance(where, str):
         expression = parse(where, index.schema.names)
     else:
         expression = _by_values(where, index.schema.names)
     return _rows(expression, index)
+
+
+def rows_by_function(
+    where: Callable[[Mapping[str, np.ndarray]], np.ndarray],
+    columns: Mapping[str, np.ndarray],
+    count: int,
+) -> NDArray[np.int64]:
+    """Row numbers that a function marks; columns that it does not look at are not read.
+
+    Raises:
+        BadConfig: It gives no boolean per row.
+        UnknownName: It asks for a column that does not exist.
+    """
+    try:
+        mask = np.asarray(where(columns))
+    except KeyError as err:
+        if err.args[0] in columns:
+            raise
+        raise UnknownName("column", str(err.args[0]), list(columns), "in where") from err
+    if mask.shape != (count,) or mask.dtype != bool:
+        raise BadConfig(
+            f"where gave {mask.dtype} {mask.shape}; it must give a boolean per row, ({count},)"
+        )
+    return np.flatnonzero(mask)
 
 
 def columns_named(where: Where) -> list[str] | None:
@@ -166,18 +191,6 @@ def _by_values(where: Mapping[str, Any], columns: Sequence[str]) -> Any:
         part = pc.field(name).isin(list(value)) if many else pc.field(name) == value
         whole = whole & part
     return whole
-
-
-def _by_function(
-    where: Callable[[Mapping[str, np.ndarray]], np.ndarray], index: pa.Table
-) -> NDArray[np.int64]:
-    mask = np.asarray(where({n: scalar_values(index.column(n)) for n in index.schema.names}))
-    if mask.shape != (index.num_rows,) or mask.dtype != bool:
-        raise BadConfig(
-            f"where gave {mask.dtype} {mask.shape}; it must give a boolean per row, "
-            f"({index.num_rows},)"
-        )
-    return np.flatnonzero(mask)
 
 
 def _rows(expression: Any, index: pa.Table) -> NDArray[np.int64]:

@@ -1,0 +1,171 @@
+"""Point clouds of a batch: stored once per object at unit diagonal, given at each grasp's size."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import warnings
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bidexdata.errors import BadConfig
+
+if TYPE_CHECKING:
+    from bidexdata.formats.release import Release
+
+
+SCALED_BYTES = 256 * 2**20
+"""Memory that clouds at their sizes may take; with more kinds of cloud they are scaled per batch.
+Ours: 2,000 objects at eleven sizes with 1,000 points."""
+
+
+_MOST_BUFFERS = 8
+"""More batches than a prefetch thread and a trainer hold at once."""
+
+
+class CloudRows:
+    """The clouds of all objects of a release, mapped from disk where all their points are wanted.
+
+    State: where few enough kinds of cloud (object, size) are known, those that were asked for are
+    kept at their size, so that a batch is one plain copy.
+    """
+
+    def __init__(self, release: Release, kind: str, points: int):
+        """Open a cloud file.
+
+        Raises:
+            BadConfig: Fewer points are stored than asked for.
+        """
+        import torch
+
+        stored = release.cloud(kind)
+        if points > stored.shape[1]:
+            raise BadConfig(f"points={points}, but the release stores {stored.shape[1]} per object")
+        chosen = np.ascontiguousarray(stored[:, :points]).reshape(len(stored), 3 * points)
+        with warnings.catch_warnings():
+            # A mapped file cannot be written, and nothing here does.
+            warnings.simplefilter("ignore", UserWarning)
+            self._flat = torch.from_numpy(chosen)
+        self.points = points
+        self._kept: _Scaled | None = None
+        self._buffers = _Buffers()
+
+    def keep(self, objects: Int[np.ndarray, " K"], sizes: Float[np.ndarray, " K"]) -> bool:
+        """Make room for kinds of cloud at their sizes, if that is not too much memory.
+
+        Args:
+            objects: Object of each kind.
+            sizes: Its size [m], float32.
+        """
+        if len(objects) * self._flat.shape[1] * 4 > SCALED_BYTES:
+            return False
+        self._kept = _Scaled(
+            np.asarray(sizes, np.float32),
+            np.asarray(objects, np.int64),
+            np.empty((len(objects), self._flat.shape[1]), np.float32),
+            np.zeros(len(objects), bool),
+        )
+        return True
+
+    def at_size(
+        self,
+        objects: Int[np.ndarray, " n"],
+        sizes: Float[np.ndarray, " n"],
+        kind: Int[np.ndarray, " n"] | None = None,
+    ) -> Float[np.ndarray, "n P 3"]:
+        """Clouds of some objects, multiplied by their sizes [m].
+
+        Args:
+            objects: Their numbers.
+            sizes: [m], float32.
+            kind: Number of each among what `keep` was given.
+        """
+        kept = self._kept
+        if kept is None or kind is None or not np.array_equal(kept.sizes[kind], sizes):
+            return self._scaled(objects, sizes).reshape(-1, self.points, 3)
+        if not kept.filled[kind].all():
+            new = np.unique(kind[~kept.filled[kind]])
+            kept.clouds[new] = self._scaled(kept.objects[new], kept.sizes[new])
+            kept.filled[new] = True
+        out = self._buffers.take((len(kind), kept.clouds.shape[1]))
+        # Numbers of kinds are in range, and only this mode writes to `out` without a buffer.
+        np.take(kept.clouds, kind, axis=0, out=out, mode="clip")
+        return out.reshape(-1, self.points, 3)
+
+    def _scaled(
+        self, objects: Int[np.ndarray, " n"], sizes: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "n W"]:
+        """Gather and scale in one pass: what an embedding bag of one weighted row each computes."""
+        import torch
+
+        found = torch.embedding_bag(
+            self._flat,
+            torch.from_numpy(objects),
+            torch.arange(len(objects)),
+            per_sample_weights=torch.from_numpy(sizes),
+        )[0]
+        return found.numpy()
+
+
+class _Buffers:
+    """Arrays of past batches, given out again when nobody holds them or a view of them.
+
+    New memory costs a fault per page, which is about as much as the copy of a batch.
+    """
+
+    def __init__(self) -> None:
+        self._held = [np.empty(0, np.float32)]
+        self._idle = self._references()[0]
+        self._lock = threading.Lock()
+
+    def take(self, shape: tuple[int, ...]) -> np.ndarray:
+        """An array with any content, which is the caller's until it lets go of it."""
+        with self._lock:
+            for k, references in enumerate(self._references()):
+                if references == self._idle and self._held[k].shape == shape:
+                    return self._held[k]
+            made = np.empty(shape, np.float32)
+            self._held = [*self._held[-_MOST_BUFFERS + 1 :], made]
+            return made
+
+    def _references(self) -> list[int]:
+        return [sys.getrefcount(array) for array in self._held]
+
+
+class _Scaled(NamedTuple):
+    """Kinds of cloud at their sizes, filled when they are first asked for."""
+
+    sizes: np.ndarray
+    objects: np.ndarray
+    clouds: np.ndarray
+    filled: np.ndarray
+
+
+def distinct(*parts: np.ndarray) -> tuple[Int[np.ndarray, " U"], Int[np.ndarray, " n"]]:
+    """Find rows that are equal in all parts, bit by bit.
+
+    Args:
+        parts: Arrays with the same leading axis n.
+
+    Returns:
+        The first row of each kind, and the number of its kind for each row.
+    """
+    flat = [np.ascontiguousarray(p.reshape(len(p), -1)).view(np.uint8) for p in parts]
+    rows = np.ascontiguousarray(np.concatenate(flat, axis=1))
+    records = rows.view(f"V{rows.shape[1]}").reshape(len(rows))
+    _, first, index = np.unique(records, return_index=True, return_inverse=True)
+    return first, index
+
+
+def expand_clouds(batch: dict[str, Any]) -> dict[str, Any]:
+    """Give each grasp of a batch with `clouds="unique"` its own cloud, as `"expand"` does."""
+    if "point_index" not in batch:
+        return dict(batch)
+    index = batch["point_index"]
+    return {
+        name: values[index] if name.startswith("cloud_") else values
+        for name, values in batch.items()
+        if name != "point_index"
+    }

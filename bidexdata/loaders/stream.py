@@ -1,0 +1,317 @@
+"""BiDexStream: batches straight from the Parquet files that are there, in a shuffled order.
+
+For a first look at a large release of which only some files are downloaded, and where there is no
+room for the training form. The order is a function of (seed, epoch) and of which files there are:
+row groups in random order are put together to windows of `buffer` rows or more, and the rows of a
+window are shuffled. Any place of the order can be gone to, so a stream resumes without reading what
+it has given.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from bidexdata.errors import BadConfig, NotUsable, UnknownName
+from bidexdata.formats import parquet
+from bidexdata.formats.release import Release
+from bidexdata.formats.tables import CONFIGURATIONS, column_field
+from bidexdata.loaders.assembly import Assembly, Selection, columns_needed
+from bidexdata.loaders.filters import Where, columns_named, matching_rows
+from bidexdata.loaders.options import DEFAULT_FIELDS, ItemOptions, require_torch
+from bidexdata.loaders.permutation import permuted
+from bidexdata.record.fields import columns_of_table
+from bidexdata.wording import counted
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+require_torch()
+
+from torch.utils.data import IterableDataset, get_worker_info  # noqa: E402
+
+log = logging.getLogger(__name__)
+
+
+class _Group(NamedTuple):
+    """One row group that is there."""
+
+    file: Path
+    number: int
+    kept: np.ndarray
+    """Rows of it that `where` keeps, ascending."""
+    first: int
+    """Number of its first row among all rows of the files that are there."""
+
+
+class BiDexStream(IterableDataset[dict[str, Any]]):
+    """Batches of grasps of the Parquet files that are there.
+
+    Use `DataLoader(stream, batch_size=None)`: batches come ready. Every worker and every rank takes
+    its share of the same order, so their number changes nothing but speed; each reads all files, so
+    one worker, or `Prefetch`, is as good as many.
+    """
+
+    def __init__(
+        self,
+        root: str | Path,
+        *,
+        batch_size: int = 256,
+        buffer: int = 65_536,
+        split: str | None = "train",
+        where: Where = None,
+        fields: Sequence[str] | None = None,
+        configuration: str = "selected",
+        shuffle: bool = True,
+        seed: int = 0,
+        rank: int = 0,
+        world_size: int = 1,
+        **options: Any,
+    ):
+        """Find the files and choose rows.
+
+        Args:
+            root: Release folder; `manifest.json`, `objects.parquet`, `scenes.parquet`, the cloud
+                asked for and at least one file of grasps must be there.
+            batch_size: Grasps of a batch; the last batch of an epoch may have fewer.
+            buffer: Rows that are shuffled with each other and held in memory, at least.
+            split: `train`, `test`, or None for all.
+            where: An expression or a dictionary, as for `BiDexDataset`.
+            fields: Columns of an item; those of the contacts table need its files.
+            configuration: `selected` or `audit`.
+            shuffle: False gives the stored order.
+            seed: Seed of the order and of the augmentation.
+            rank: Number of this process.
+            world_size: Number of processes.
+            options: `frame`, `cloud`, `points`, `clouds`, `quat_order`, `rotation`, `augment`, as
+                for `BiDexDataset`.
+
+        Raises:
+            NotUsable: No file of the split is there.
+            UnknownName: No such split, field, cloud, configuration or option.
+            BadConfig: `where` cannot be read, or options exclude each other.
+        """
+        super().__init__()
+        self.release = Release.open(root)
+        if configuration not in CONFIGURATIONS:
+            raise UnknownName("configuration", configuration, CONFIGURATIONS)
+        if not 0 <= rank < world_size:
+            raise ValueError(f"rank must lie in [0, {world_size}), not {rank}")
+        self.batch_size, self.buffer, self.shuffle, self.seed = batch_size, buffer, shuffle, seed
+        self.rank, self.world_size = rank, world_size
+        self.split, self.configuration, self.epoch = split, configuration, 0
+        chosen = DEFAULT_FIELDS if fields is None else tuple(fields)
+        self.options = ItemOptions(fields=chosen, seed=seed, **options)
+        self._start = 0
+        files = self._files_there()
+        schema = {f.name for f in parquet.read_schema(files[0])}
+        self._on_table = "tabletop" in self.release.scenes.column("setting").to_pylist()
+        self._columns = self._where_from(schema)
+        self._groups = self._row_groups(files, where)
+        self._assembly: Assembly | None = None
+        self._window: tuple[tuple[int, int, int], pa.Table, np.ndarray] | None = None
+
+    def __len__(self) -> int:
+        """Batches that this rank still gets in this epoch, of all its workers together.
+
+        All ranks get as many; what does not divide is dropped.
+        """
+        left = max(self.rows - self._start, 0)
+        return (left + self.batch_size - 1) // self.batch_size // self.world_size
+
+    @property
+    def rows(self) -> int:
+        """Rows of the files that are there, `where` applied."""
+        return sum(len(group.kept) for group in self._groups)
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        """Give this process's batches of the rest of the epoch."""
+        worker = get_worker_info()
+        workers, mine = (worker.num_workers, worker.id) if worker else (1, 0)
+        share = self.world_size * workers
+        place = mine * self.world_size + self.rank
+        for number in range(place, len(self) * self.world_size, share):
+            low = self._start + number * self.batch_size
+            yield self._batch(low, min(low + self.batch_size, self.rows))
+
+    def set_epoch(self, epoch: int) -> None:
+        """Start a given epoch from its beginning."""
+        self.epoch, self._start = epoch, 0
+
+    def state_dict(self, batches: int) -> dict[str, int]:
+        """What is needed to go on, on any number of ranks and workers.
+
+        Args:
+            batches: Batches that each rank's trainer has had since this stream began or resumed.
+        """
+        given = self._start + batches * self.world_size * self.batch_size
+        return {"seed": self.seed, "epoch": self.epoch, "emitted": min(given, self.rows)}
+
+    def load_state_dict(self, state: dict[str, int]) -> None:
+        """Go on where `state_dict` was taken, with the same files."""
+        self.seed, self.epoch, self._start = state["seed"], state["epoch"], state["emitted"]
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Workers read for themselves.
+        return {**self.__dict__, "release": self.release.path, "_assembly": None, "_window": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.release = Release.open(state["release"])
+
+    def _files_there(self) -> list[Path]:
+        """Files of grasps that are there; says how many of those in the manifest are not."""
+        release = self.release
+        files = release.table_files("grasps", self.configuration, self.split)
+        suffix = "" if self.configuration == "selected" else f"_{self.configuration}"
+        splits = release.split_names if self.split is None else (self.split,)
+        heads = tuple(f"grasps{suffix}/{split}-" for split in splits)
+        named = [n for n in release.manifest["files"] if n.startswith(heads)]
+        if not files and release.form == "hdf5":
+            raise NotUsable(
+                f"{release.path} has its rows in grasps.h5, of which no part can be streamed; "
+                "load it with BiDexDataset"
+            )
+        if not files:
+            raise NotUsable(
+                f"{release.path}: none of {counted(len(named), 'file')} of grasps is there; "
+                f"download some, for example {sorted(named)[0] if named else 'grasps'}"
+            )
+        missing = len(named) - len(files)
+        if missing > 0:
+            log.warning(
+                "%s: %d of %d files of grasps are not there; their rows are left out",
+                *(release.path, missing, len(named)),
+            )
+        return files
+
+    def _where_from(self, grasps: set[str]) -> dict[str, list[str]]:
+        """Columns to read from each table."""
+        contacts = {*columns_of_table("contacts")}
+        names = columns_needed(self.options, on_table=self._on_table)
+        for name in names:
+            if name not in grasps | contacts | {"size"}:
+                raise UnknownName("field", name, sorted(grasps | contacts))
+        mine = [n for n in names if n in grasps]
+        if "size" in names and "size" not in grasps:
+            mine.append("size_mm")
+        mine.append("object_id")
+        return {
+            "grasps": list(dict.fromkeys(mine)),
+            "contacts": [n for n in names if n in contacts],
+        }
+
+    def _row_groups(self, files: Sequence[Path], where: Where) -> list[_Group]:
+        named = columns_named(where)
+        if named is None:
+            raise BadConfig("a stream takes an expression or a dictionary as where, no function")
+        found, first = [], 0
+        for file in files:
+            counts = parquet.row_counts(file)
+            tables: Any = [None] * len(counts)
+            if named:
+                tables = parquet.read_groups(file, named, range(len(counts)))
+            for number, (count, table) in enumerate(zip(counts, tables, strict=True)):
+                kept = np.arange(count) if table is None else matching_rows(where, table)
+                found.append(_Group(file, number, kept, first))
+                first += count
+        return found
+
+    def _batch(self, low: int, high: int) -> dict[str, Any]:
+        """Rows at the places [low, high) of the order, which may lie in two windows or more."""
+        if self._assembly is None:
+            self._assembly = Assembly(self.release, self.options, on_table=self._on_table)
+        parts: list[tuple[pa.Table, np.ndarray]] = []
+        for number, start, count in self._windows():
+            a, b = max(low - start, 0), min(high - start, count)
+            if a >= b:
+                continue
+            table, rows = self._load(number)
+            places = np.arange(a, b)
+            if self.shuffle:
+                places = permuted(places, count, self.seed, self.epoch, number)
+            parts.append((table.take(places), rows[places]))
+        import pyarrow as pa
+
+        table = pa.concat_tables([part for part, _ in parts])
+        rows = np.concatenate([rows for _, rows in parts])
+        ids = {object_id: k for k, object_id in enumerate(self.release.object_ids)}
+        objects = np.array([ids[i] for i in table.column("object_id").to_pylist()], np.int64)
+        found, text = self._arrays(table)
+        return self._assembly.batch(found, text, Selection(rows, objects), self.epoch)
+
+    def _windows(self) -> list[tuple[int, int, int]]:
+        """Number, first place and number of rows of each window of this epoch."""
+        found, start, count, number = [], 0, 0, 0
+        for k in self._order():
+            count += len(self._groups[k].kept)
+            if count >= self.buffer:
+                found.append((number, start, count))
+                start, count, number = start + count, 0, number + 1
+        return [*found, (number, start, count)] if count else found
+
+    def _groups_of(self, window: int) -> list[_Group]:
+        count, number, found = 0, 0, []
+        for k in self._order():
+            if number == window:
+                found.append(self._groups[k])
+            count += len(self._groups[k].kept)
+            if count >= self.buffer:
+                count, number = 0, number + 1
+        return found
+
+    def _order(self) -> list[int]:
+        numbers = np.arange(len(self._groups))
+        if self.shuffle:
+            numbers = permuted(numbers, len(numbers), self.seed, self.epoch)
+        return numbers.tolist()
+
+    def _load(self, window: int) -> tuple[pa.Table, np.ndarray]:
+        """The chosen rows of a window, and their numbers; the last one is kept in memory."""
+        import pyarrow as pa
+
+        key = (window, self.seed, self.epoch)
+        if self._window is None or self._window[0] != key:
+            self._window = None  # before the next is read: two would be held
+            groups = self._groups_of(window)
+            tables = [self._read(group) for group in groups if len(group.kept)]
+            rows = [group.first + group.kept for group in groups]
+            self._window = (key, pa.concat_tables(tables).combine_chunks(), np.concatenate(rows))
+        return self._window[1], self._window[2]
+
+    def _read(self, group: _Group) -> pa.Table:
+        (table,) = parquet.read_groups(group.file, self._columns["grasps"], [group.number])
+        if self._columns["contacts"]:
+            folder = group.file.parent.name.replace("grasps", "contacts", 1)
+            file = group.file.parents[1] / folder / group.file.name
+            if not file.is_file():
+                raise NotUsable(f"{file}: not there, and fields name columns of it; download it")
+            (more,) = parquet.read_groups(file, self._columns["contacts"], [group.number])
+            for name in more.column_names:
+                table = table.append_column(more.schema.field(name), more.column(name))
+        return table.take(group.kept)
+
+    def _arrays(self, table: pa.Table) -> tuple[dict[str, np.ndarray], dict[str, list[str]]]:
+        import pyarrow as pa
+
+        found, text = {}, {}
+        for name in table.column_names:
+            column = table.column(name).combine_chunks()
+            if pa.types.is_string(column.type):
+                text[name] = column.to_pylist()
+                continue
+            if pa.types.is_boolean(column.type):
+                column = column.fill_null(False)
+            flat = column
+            if pa.types.is_fixed_size_list(column.type):
+                flat = column.flatten()
+            shape = self.release.header.shape(column_field(name))
+            values = flat.to_numpy(zero_copy_only=False).reshape(table.num_rows, *shape)
+            found[name] = values if values.flags.writeable else values.copy()
+        if "size" not in found and "size_mm" in found:
+            found["size"] = (found["size_mm"] / 1000).astype(np.float32)
+        return found, text
