@@ -6,17 +6,30 @@ For training losses and users' own optimisation. The production kernels are in
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
+from bidexdata.errors import MissingExtra, UnknownName
 from bidexdata.hands.model import Hand
+from bidexdata.hands.sphere_surface import sphere_surface
+from bidexdata.hands.tree_file import hand_of_release
 from bidexdata.hands.urdf import hand_urdf
+
+try:
+    import torch
+    from torch import Tensor
+except ModuleNotFoundError as err:
+    raise MissingExtra("torch") from err
 
 if TYPE_CHECKING:
     import numpy as np
+
+SURFACE_POINTS = 512
+"""Points on a hand's surface unless asked otherwise: about 1 cm apart on a Shadow hand."""
 
 
 class HandPose(NamedTuple):
@@ -37,11 +50,23 @@ class HandPose(NamedTuple):
 class HandModel(torch.nn.Module):
     """Forward kinematics of one hand, batched and differentiable in pose and joints.
 
-    Dtype and device follow the inputs.
+    `forward` places the bodies; `link_poses`, `keypoints` and `surface_points` read links, named
+    points and a sampled surface from what it gives. Dtype and device follow the inputs.
     """
 
-    def __init__(self, hand: Hand):
+    def __init__(self, hand: Hand, *, surface_points: int = SURFACE_POINTS):
+        """Build the kinematic chain.
+
+        Args:
+            hand: The hand: `load_hand(NAME, SIDE)`, or use `from_release`.
+            surface_points: Points that `surface_points` gives.
+
+        Raises:
+            MissingExtra: pytorch-kinematics is not installed.
+        """
         super().__init__()
+        if find_spec("pytorch_kinematics") is None:
+            raise MissingExtra("pytorch-kinematics")
         import pytorch_kinematics
 
         self.hand = hand
@@ -50,42 +75,115 @@ class HandModel(torch.nn.Module):
         names = list(chain.get_joint_parameter_names())
         # One column per joint of the chain, taken from our order.
         self._order = [hand.joint_names.index(name) for name in names]
+        self._surface = sphere_surface(hand, surface_points)
+
+    @classmethod
+    def from_release(
+        cls, release: Any, side: str = "right", *, surface_points: int = SURFACE_POINTS
+    ) -> HandModel:
+        """Build the hand that a release was made with, from its `tree.json`: no mesh is needed.
+
+        Args:
+            release: `Release`, or the path of its folder.
+            side: `left` or `right`.
+            surface_points: As above.
+
+        Raises:
+            PathNotFound: The release has no hand of this side.
+            Contradiction: `tree.json` does not describe a hand.
+            MissingExtra: pytorch-kinematics is not installed.
+        """
+        root = Path(getattr(release, "path", release))
+        return cls(hand_of_release(root, side), surface_points=surface_points)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Order of the joints."""
+        return self.hand.joint_names
+
+    @property
+    def keypoint_names(self) -> tuple[str, ...]:
+        """What `keypoints` knows: contact points, then bodies (their origins)."""
+        bodies = [n for n in self.hand.body_names if n not in self.hand.contact_names]
+        return (*self.hand.contact_names, *bodies)
 
     def forward(
         self,
         pos: Float[Tensor, "*b 3"],
         quat_wxyz: Float[Tensor, "*b 4"],
-        joints: Float[Tensor, "*b J"],
+        joints: Float[Tensor, "*b _"],
     ) -> HandPose:
         """Place the hand.
 
         Args:
             pos: Origin of the hand frame [m].
             quat_wxyz: Its orientation; need not have unit length.
-            joints: Joint angles in the order of `hand.joint_names` [rad].
+            joints: Joint angles in the order of `joint_names` [rad], (*b, J). Columns behind the
+                last joint, with which rows of a data set are padded, are left out.
+
+        Raises:
+            ValueError: There are fewer angles than joints.
         """
+        count = len(self.hand.joint_names)
+        if joints.shape[-1] < count:
+            raise ValueError(f"this hand has {count} joints, and {joints.shape[-1]} are given")
+        joints = joints[..., :count]
         batch = joints.shape[:-1]
-        local = self._body_transforms(joints.reshape(-1, joints.shape[-1]))
+        local = self._body_transforms(joints.reshape(-1, count))
         local = local.reshape(*batch, *local.shape[1:])
         base = rotation_matrix(quat_wxyz)
         body_rot = base[..., None, :, :] @ local[..., :3, :3]
         body_pos = (base[..., None, :, :] @ local[..., :3, 3:]).squeeze(-1) + pos[..., None, :]
         hand = self.hand
-
-        def place(body: np.ndarray, points: np.ndarray) -> Tensor:
-            index = torch.as_tensor(body, dtype=torch.long, device=joints.device)
-            fixed = torch.as_tensor(points, dtype=joints.dtype, device=joints.device)
-            return (body_rot[..., index, :, :] @ fixed[..., None]).squeeze(-1)
-
-        contact_origin = body_pos[..., torch.as_tensor(hand.contact_body.copy()).long(), :]
-        sphere_origin = body_pos[..., torch.as_tensor(hand.sphere_body.copy()).long(), :]
+        bodies = (body_pos, body_rot)
         return HandPose(
             body_pos,
             body_rot,
-            contact_origin + place(hand.contact_body, hand.contact_pos),
-            place(hand.contact_body, hand.contact_normal),
-            sphere_origin + place(hand.sphere_body, hand.sphere_pos),
+            _placed(*bodies, hand.contact_body, hand.contact_pos),
+            _turned(body_rot, hand.contact_body, hand.contact_normal),
+            _placed(*bodies, hand.sphere_body, hand.sphere_pos),
         )
+
+    def link_poses(
+        self, pose: HandPose, names: Sequence[str] | None = None
+    ) -> Float[Tensor, "*b L 4 4"]:
+        """Poses of links as matrices.
+
+        Args:
+            pose: What `forward` gave.
+            names: Bodies; all in the order of `hand.body_names` when omitted.
+
+        Raises:
+            UnknownName: The hand has no such body.
+        """
+        known = self.hand.body_names
+        wanted = list(range(len(known))) if names is None else [_number(n, known) for n in names]
+        top = torch.cat([pose.body_rot, pose.body_pos[..., None]], dim=-1)[..., wanted, :, :]
+        bottom = top.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*top.shape[:-2], 1, 4)
+        return torch.cat([top, bottom], dim=-2)
+
+    def keypoints(self, pose: HandPose, names: Sequence[str]) -> Float[Tensor, "*b n 3"]:
+        """Named points [m]: contact points (the centres of their spheres) or origins of bodies.
+
+        Raises:
+            UnknownName: The hand has no such point.
+        """
+        every = torch.cat([pose.contact_point, pose.body_pos], dim=-2)
+        known = (*self.hand.contact_names, *self.hand.body_names)
+        return every[..., [_number(n, known) for n in names], :]
+
+    def surface_points(self, pose: HandPose) -> Float[Tensor, "*b P 3"]:
+        """Points on the surface of the hand's collision spheres [m], spread by area.
+
+        They are outside all other spheres of their body.
+        """
+        body, points, _ = self._surface
+        return _placed(pose.body_pos, pose.body_rot, body, points)
+
+    def surface_normals(self, pose: HandPose) -> Float[Tensor, "*b P 3"]:
+        """Outward unit normals at `surface_points`."""
+        body, _, normals = self._surface
+        return _turned(pose.body_rot, body, normals)
 
     def _body_transforms(self, joints: Float[Tensor, "n J"]) -> Float[Tensor, "n B 4 4"]:
         if (self._chain.dtype, torch.device(self._chain.device)) != (joints.dtype, joints.device):
@@ -105,3 +203,21 @@ def rotation_matrix(quat_wxyz: Float[Tensor, "*b 4"]) -> Float[Tensor, "*b 3 3"]
         torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], dim=-1),
     ]
     return torch.stack(rows, dim=-2)
+
+
+def _placed(body_pos: Tensor, body_rot: Tensor, body: np.ndarray, points: np.ndarray) -> Tensor:
+    """Points fixed to bodies, given in the bodies' frames."""
+    index = torch.as_tensor(body.copy(), dtype=torch.long, device=body_pos.device)
+    return body_pos[..., index, :] + _turned(body_rot, body, points)
+
+
+def _turned(body_rot: Tensor, body: np.ndarray, vectors: np.ndarray) -> Tensor:
+    index = torch.as_tensor(body.copy(), dtype=torch.long, device=body_rot.device)
+    fixed = torch.as_tensor(vectors, dtype=body_rot.dtype, device=body_rot.device)
+    return (body_rot[..., index, :, :] @ fixed[..., None]).squeeze(-1)
+
+
+def _number(name: str, known: Sequence[str]) -> int:
+    if name not in known:
+        raise UnknownName("point of the hand", name, known)
+    return known.index(name)
