@@ -1,7 +1,8 @@
 """Turn mesh files into published, verified, trainable datasets of two-handed dexterous grasps.
 
 The public names below are imported when they are first used, so that `import bidexdata` is light
-and reading a release needs none of the packages that make one.
+and reading a release needs none of the packages that make one. A name that needs a package which
+is not installed raises `MissingExtra`, which says what to install.
 """
 
 from __future__ import annotations
@@ -73,7 +74,15 @@ if TYPE_CHECKING:
 def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'bidexdata' has no attribute {name!r}")
-    return getattr(import_module(_PUBLIC[name]), name)
+    try:
+        return getattr(import_module(_PUBLIC[name]), name)
+    except ModuleNotFoundError as err:
+        from bidexdata.extras import missing_extra
+
+        missing = missing_extra(err)
+        if missing is None:
+            raise
+        raise missing from err
 
 
 def __dir__() -> list[str]:

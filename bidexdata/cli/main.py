@@ -33,6 +33,7 @@ from bidexdata.cli.validate import validate
 from bidexdata.cli.verify import verify
 from bidexdata.cli.view import view
 from bidexdata.errors import BidexError
+from bidexdata.extras import missing_extra
 
 INTERRUPTED = 130
 REPEATABLE = ("--set",)
@@ -121,6 +122,9 @@ def run(arguments: Sequence[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as err:
+        missing = missing_extra(err)
+        if missing is not None:
+            return _complain(str(missing), missing.exit_code, arguments)
         text = str(err).strip().splitlines()
         what = f"{type(err).__name__}: {text[0]}" if text else type(err).__name__
         hint = (

@@ -11,6 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
+from bidexdata.extras import missing_extra
+
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -34,6 +36,9 @@ def call_task(function: Callable[[T], R], task: T) -> R | Raised:
 
 
 def describe(err: BaseException) -> str:
-    """One line for an exception: its type and first line."""
+    """One line for an exception: its type and first line, or which package to install."""
+    missing = missing_extra(err)
+    if missing is not None:
+        return str(missing)
     lines = str(err).strip().splitlines()
     return f"{type(err).__name__}: {lines[0]}" if lines else type(err).__name__

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from bidexdata.errors import BidexError, LimitDropsObjects
+from bidexdata.extras import require
 from bidexdata.objects.config import PrepareConfig
 from bidexdata.objects.failure import PrepareFailure
 from bidexdata.objects.identity import object_id_of, source_identity
@@ -32,6 +33,8 @@ from bidexdata.runs.prepare_task import TAKEN, PrepareTask, checked_one, made, p
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.task_failures import failure_row, log_raised
 
+NEEDED = ("coacd", "manifold3d", "scipy", "trimesh", "warp")
+"""Modules that workers import; without them every object would fail."""
 _TRY_AGAIN = (Status.TIMED_OUT, Status.CRASHED)
 """Failures that the machine may be to blame for."""
 
@@ -67,8 +70,10 @@ def prepare_library(
         PathNotFound: A source does not exist.
         ConfigConflict: The folder holds objects that were made with another configuration, or of
             inputs beyond `limit`.
+        MissingExtra: A package that geometry needs is not installed.
     """
     check_executor(executor, workers)
+    require(*NEEDED)
     config = config or PrepareConfig()
     start = time.monotonic()
     every = resolve_sources(sources)

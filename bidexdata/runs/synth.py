@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from bidexdata.config import fingerprint, from_plain, to_plain
 from bidexdata.devices import check_device
 from bidexdata.errors import BadConfig, BadValue, NotUsable
+from bidexdata.extras import require
 from bidexdata.kinds import kind_of
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.scene import Setting, scene_parts, setting_of
@@ -126,9 +127,11 @@ def synth_library(
         UnknownName: There is no such hand.
         NotUsable: There is no such device.
         ConfigConflict: `out` is a run of another configuration.
+        MissingExtra: A package that synthesises is not installed.
     """
     from bidexdata.objects.library import Library
 
+    require("mujoco", "scipy", "warp")
     execution = execution or TaskExecution()
     if execution.executor != "ray":  # whose workers have devices of their own
         check_device(device)

@@ -17,6 +17,7 @@ import numpy as np
 
 from bidexdata.config import differing_keys, from_plain, to_plain
 from bidexdata.errors import ConfigConflict, NotUsable
+from bidexdata.extras import require
 from bidexdata.record import Status
 from bidexdata.record.fields import ON_TABLE
 from bidexdata.runs.logs import log_to
@@ -80,13 +81,14 @@ def validate_run(
         NotUsable: A test that the protocol or the setting does not allow, nothing to test,
             something that the back end does not do here, or other settings than those of the
             known protocol of that name.
-        MissingExtra: MuJoCo Warp is asked for and not installed.
+        MissingExtra: A package that simulates is not installed.
         ConfigConflict: The run has verdicts of another protocol under this name, or its library has
             changed.
     """
     from bidexdata.validation.backends import check_backend, on_backend
     from bidexdata.validation.protocols import require_own_name
 
+    require("mujoco", "scipy")
     require_own_name(protocol)
     execution = execution or TaskExecution()
     check_backend(protocol, backend, device, _how(extras))

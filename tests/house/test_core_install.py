@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import sys
 import tomllib
 from importlib.metadata import packages_distributions
 from pathlib import Path
+
+import pytest
+from made_release import made_release
+
+from bidexdata.extras import EXTRA_OF
+from bidexdata.hands import load_hands
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -16,9 +23,9 @@ HIDE = """
 import sys
 from importlib.machinery import PathFinder
 
-class CoreOnly:
-    @staticmethod
-    def find_spec(name, path=None, target=None):
+class CoreOnly(PathFinder):
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
         return None if name.split(".")[0] in hidden else PathFinder.find_spec(name, path, target)
 
 release, *hidden = sys.argv[1:]
@@ -43,16 +50,37 @@ except MissingExtra as err:
 """
 
 
+NAMES = """
+import bidexdata
+from bidexdata.errors import MissingExtra
+for name in bidexdata._PUBLIC:
+    try:
+        getattr(bidexdata, name)
+    except MissingExtra as err:
+        print(name, err.package, err.extra)
+"""
+
+COMMAND = """
+import shlex
+from bidexdata.cli.main import run
+sys.exit(run(shlex.split(release)))
+"""
+
+
+def project() -> dict:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+def named(requirements) -> set[str]:
+    """Packages of some requirements, without versions, in lower case."""
+    return {re.split(r"[^A-Za-z0-9._-]", r)[0].lower() for r in requirements}
+
+
 def modules_of_extras() -> set[str]:
     """Top-level modules that only the extras `synth` and `view` bring."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-
-    def named(requirements):
-        return {re.split(r"[^A-Za-z0-9._-]", r)[0].lower() for r in requirements}
-
-    extras = project["optional-dependencies"]
+    extras = project()["optional-dependencies"]
     wanted = (
-        named(extras["synth"] + extras["view"]) - {"bidexdata"} - named(project["dependencies"])
+        named(extras["synth"] + extras["view"]) - {"bidexdata"} - named(project()["dependencies"])
     )
     found = packages_distributions()
     return {
@@ -60,9 +88,13 @@ def modules_of_extras() -> set[str]:
     }
 
 
+def started(code: str, argument: str | Path, hidden: set[str]) -> subprocess.CompletedProcess[str]:
+    argv = [sys.executable, "-c", HIDE + code, str(argument), *sorted(hidden)]
+    return subprocess.run(argv, capture_output=True, text=True, check=False, cwd=ROOT)
+
+
 def run(code: str, release: Path, hidden: set[str]) -> list[str]:
-    argv = [sys.executable, "-c", HIDE + code, str(release), *sorted(hidden)]
-    done = subprocess.run(argv, capture_output=True, text=True, check=False, cwd=ROOT)
+    done = started(code, release, hidden)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
 
@@ -80,3 +112,83 @@ def test_the_core_without_torch_reads_rows_and_names_the_missing_package(packed)
     assert int(rows) > 0
     assert error.startswith("torch ")
     assert error.endswith("pip install torch")
+
+
+def test_every_extra_has_its_modules_in_the_table_and_none_has_others():
+    extras = project()["optional-dependencies"]
+    brought = {name: named(extras[name]) - {"bidexdata"} for name in extras if name != "all"}
+    del brought["dev"]
+    said: dict[str, set[str]] = {name: set() for name in brought}
+    for package, extra in EXTRA_OF.values():
+        said[extra].add(package.lower())
+    assert said == brought
+    found = packages_distributions()
+    for module, (package, _) in EXTRA_OF.items():
+        if module in found:
+            assert package.lower() in {n.lower().replace("_", "-") for n in found[module]}
+
+
+def test_the_extras_of_the_specification_are_there_and_all_has_them():
+    extras = project()["optional-dependencies"]
+    assert {"synth", "view", "publish", "ray", "all"} <= set(extras)
+    (whole,) = extras["all"]
+    assert {"synth", "view", "publish", "ray"} <= set(re.split(r"[\[\],]", whole))
+    light = {"h5py", "jaxtyping", "numpy", "pyarrow", "pyyaml", "typer"}
+    assert named(project()["dependencies"]) == light
+
+
+def test_every_import_of_the_package_is_of_the_core_or_in_the_table():
+    core = {"h5py", "jaxtyping", "numpy", "pyarrow", "yaml", "typer"}
+    known = core | set(EXTRA_OF) | set(sys.stdlib_module_names) | {"bidexdata"}
+    for path in (ROOT / "bidexdata").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                names = [node.module or ""]
+            assert {n.partition(".")[0] for n in names} <= known, path
+
+
+def test_a_public_name_without_its_package_names_the_extra(packed):
+    lines = [line.split(" ") for line in run(NAMES, packed, modules_of_extras())]
+    told = {name: (package, extra) for name, package, extra in lines}
+    assert told["HandModel"] == ("torch", "synth")
+    assert {extra for _, extra in told.values()} == {"synth"}
+    assert not {"BiDexDataset", "GraspBatch", "Library", "Release", "Run"} & set(told)
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory) -> Path:
+    """A release of hands that the registry knows."""
+    out = tmp_path_factory.mktemp("real") / "release"
+    return made_release(out, hands=load_hands("capsule"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "extra"),
+    [
+        ("prepare shapes --limit 1 --out {out}/library", "synth"),
+        ("validate {release} --out {out}/again", "synth"),
+        ("view {release}", "view"),
+        ("view {release} --export 0 --out {out}/grasp.html", "view"),
+        ("render {release} --out {out}/sheet.png", "synth"),
+        ("hands check capsule", "synth"),
+        ("verify {release} --full", "synth"),
+        ("demo --out {out}/demo", "synth"),
+    ],
+)
+def test_a_command_without_its_packages_names_the_extra(real, tmp_path, arguments, extra):
+    line = arguments.format(release=real, out=tmp_path)
+    done = started(COMMAND, line, modules_of_extras())
+    assert (done.returncode, done.stdout) == (3, ""), done.stderr
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith("error: ")
+    assert last.endswith(f"pip install 'bidexdata[{extra}]'")
+
+
+@pytest.mark.parametrize("arguments", ["info {release}", "verify {release}", "table {release} --out {out}/t.csv"])  # fmt: skip
+def test_what_reads_a_release_needs_the_core_alone(packed, tmp_path, arguments):
+    line = arguments.format(release=packed, out=tmp_path)
+    done = started(COMMAND, line, modules_of_extras())
+    assert done.returncode == 0, done.stderr

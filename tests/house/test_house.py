@@ -13,11 +13,14 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "bidexdata"
 
 # __main__ -> cli -> viewer -> runs -> loaders, formats -> synthesis | validation -> arms -> pictures
-# -> simulation -> objects, hands -> wrench, record -> frames, errors, config, devices, engine_log,
-# kinds, temporaries, wording.
+# -> simulation -> objects, hands -> wrench, record -> frames, errors, extras, config, devices,
+# engine_log, kinds, temporaries, wording.
 # Rooms on one floor do not import each other, but for the pairs in SAME_FLOOR.
 FLOORS = [
-    {"frames", "errors", "config", "devices", "engine_log", "kinds", "temporaries", "wording"},
+    {
+        *("frames", "errors", "extras", "config", "devices", "engine_log", "kinds", "temporaries"),
+        "wording",
+    },
     {"wrench", "record"},
     {"objects", "hands"},
     {"simulation"},
@@ -33,6 +36,7 @@ FLOORS = [
 SAME_FLOOR = {
     ("config", "errors"),
     ("devices", "errors"),
+    ("extras", "errors"),
     ("kinds", "errors"),
     ("loaders", "formats"),
 }
