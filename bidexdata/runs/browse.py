@@ -6,6 +6,7 @@ Pictures and the viewer read through `Browsable` and do not know which of the th
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
     from bidexdata.objects.library import Library
     from bidexdata.objects.prepared import Solid
+    from bidexdata.runs.release_rows import ReleaseRowsIndex
     from bidexdata.runs.run import Run
 
 
@@ -45,8 +47,17 @@ class Browsable(Protocol):
         """Objects, sorted."""
         ...
 
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """Category of each object; empty where none is known."""
+        ...
+
     def load_solid(self, object_id: str) -> Solid:
         """Read one object."""
+        ...
+
+    def index(self) -> ReleaseRowsIndex | None:
+        """What finds rows of all objects without reading them; None where reading is the only way."""
         ...
 
     def grasps(self, object_id: str, test: str = "") -> GraspBatch | None:
@@ -101,9 +112,18 @@ class LibrarySource:
         """Objects, sorted."""
         return tuple(sorted(self.library.object_ids))
 
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """As the library's index has them."""
+        return _categories(self.library, self.object_ids)
+
     def load_solid(self, object_id: str) -> Solid:
         """Read one object."""
         return self.library.load_solid(object_id)
+
+    def index(self) -> ReleaseRowsIndex | None:
+        """None: there are no rows."""
+        return None
 
     def grasps(self, object_id: str, test: str = "") -> GraspBatch | None:
         """None: a library holds no grasps."""
@@ -134,9 +154,20 @@ class RunSource:
         """Objects of the plan, sorted."""
         return self.run.object_ids
 
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """As the run's library has them; a run that tests a release anew names none."""
+        if self.run.spec.kind == "release":
+            return ("",) * len(self.object_ids)
+        return _categories(self.run.library, self.object_ids)
+
     def load_solid(self, object_id: str) -> Solid:
         """Read one object of the run's library."""
         return self.run.load_solid(object_id)
+
+    def index(self) -> ReleaseRowsIndex | None:
+        """None: rows lie in shards, which are read object by object."""
+        return None
 
     def grasps(self, object_id: str, test: str = "") -> GraspBatch | None:
         """Rows of the tasks that are done by now; those not yet validated say so in every row."""
@@ -181,9 +212,24 @@ class ReleaseSource:
         """Objects, sorted."""
         return self.release.object_ids
 
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """As the objects table has them."""
+        return self.index().categories
+
     def load_solid(self, object_id: str) -> Solid:
         """Read one object."""
         return self.release.load_solid(object_id)
+
+    def index(self) -> ReleaseRowsIndex:
+        """Rows by the index columns of the release."""
+        return self._index
+
+    @cached_property
+    def _index(self) -> ReleaseRowsIndex:
+        from bidexdata.runs.release_rows import ReleaseRowsIndex
+
+        return ReleaseRowsIndex(self.release, self.protocol, self.tests)
 
     def grasps(self, object_id: str, test: str = "") -> GraspBatch | None:
         """Selected rows, then audit rows that are not selected too."""
@@ -242,6 +288,13 @@ def _tests_of(protocol: str, tests: Iterable[tuple[str, str]]) -> tuple[str, ...
     """The tests that a protocol has verdicts of, in the order of `TESTS`."""
     found = set(tests)
     return tuple(test for test in TESTS if (protocol, test) in found)
+
+
+def _categories(library: Library, object_ids: Iterable[str]) -> tuple[str, ...]:
+    names = ("object_id", "status", "category")
+    rows = zip(*(library.index.column(n).to_pylist() for n in names), strict=True)
+    known = {object_id: category for object_id, status, category in rows if status == Status.OK}
+    return tuple(known.get(object_id) or "" for object_id in object_ids)
 
 
 def _no_verdicts(batch: GraspBatch) -> dict[str, np.ndarray]:

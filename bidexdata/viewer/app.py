@@ -6,26 +6,27 @@ The server listens on this machine only unless told otherwise. From elsewhere, u
 
 from __future__ import annotations
 
-import contextlib
-import io
-import logging
-import socket
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.errors import MissingExtra, NotUsable
+from bidexdata.errors import NotUsable
 from bidexdata.runs.browse import Browsable, open_browsable
 from bidexdata.viewer.catalog import Catalog
 from bidexdata.viewer.page import FIELD_OF_VIEW, Page
+from bidexdata.viewer.server import (
+    DEFAULT_HOST,
+    DEFAULT_PORT,
+    check_host,
+    require_viser,
+    silent,
+    started,
+)
 
 if TYPE_CHECKING:
     import viser
-
-DEFAULT_PORT = 8080
-DEFAULT_HOST = "127.0.0.1"
 
 
 def serve(
@@ -62,20 +63,13 @@ def serve_source(
     source: Browsable, *, host: str = DEFAULT_HOST, port: int = DEFAULT_PORT
 ) -> viser.ViserServer:
     """Serve what is open already, and return at once; see `serve`."""
-    try:
-        import viser
-    except ImportError as err:
-        raise MissingExtra("viser", "view") from err
-
+    require_viser()
     check_host(host)
-    # A browser opens connections that it then does not use; the package would log each as an error.
-    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
     catalog = Catalog(source)
     if not catalog.object_ids:
         raise NotUsable(f"{source.path} holds no objects, so there is nothing to show")
     catalog.preload()
-    with _silent():
-        server = viser.ViserServer(host=host, port=port, label="bidexdata", verbose=False)
+    server = started(host, port)
     server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
 
     def connected(client: viser.ClientHandle) -> None:
@@ -97,25 +91,6 @@ def serve_source(
     return server
 
 
-def check_host(host: str) -> None:
-    """Refuse an address that this machine cannot listen on; the server would wait for ever.
-
-    Raises:
-        NotUsable: It is not one of this machine's.
-    """
-    try:
-        family, kind, protocol, _, address = socket.getaddrinfo(
-            host, 0, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )[0]
-        with socket.socket(family, kind, protocol) as probe:
-            probe.bind(address)
-    except (OSError, UnicodeError) as err:
-        raise NotUsable(
-            f"--host {host!r} is no address of this machine ({err}); "
-            f"take {DEFAULT_HOST}, or 0.0.0.0 for the whole network"
-        ) from err
-
-
 def wait_until_interrupted(server: viser.ViserServer) -> None:
     """Sleep until Ctrl-C, then stop the server."""
     import time
@@ -126,10 +101,5 @@ def wait_until_interrupted(server: viser.ViserServer) -> None:
     except KeyboardInterrupt:
         pass
     finally:
-        with _silent():
+        with silent():
             server.stop()
-
-
-def _silent() -> contextlib.AbstractContextManager[object]:
-    # viser prints banners; standard output belongs to the command that called.
-    return contextlib.redirect_stdout(io.StringIO())

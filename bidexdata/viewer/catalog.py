@@ -1,21 +1,31 @@
 """What all open pages share: objects, rows and hands, read once and kept for a while.
 
-Pages run in threads; reading is serialised by one lock.
+Rows of a release are found by its index columns and read one at a time; those of a run are read
+object by object. Pages run in threads; reading is serialised by one lock.
 """
 
 from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from bidexdata.pictures.posing import has_pose
 from bidexdata.record import GraspBatch
+from bidexdata.record.status import Status
 from bidexdata.runs.browse import Browsable, rows_by_test, verdicts_of
+from bidexdata.runs.release_rows import (
+    NO_POSE,
+    SYNTH_FAILURES,
+    TEST_FAILURES,
+    RowFilter,
+    objects_matching,
+)
 from bidexdata.viewer.nodes import body_meshes
 
 if TYPE_CHECKING:
@@ -24,12 +34,19 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-Outcome = Literal["all", "passed", "failed", "not tested"]
-Kept = Literal["all", "selected", "audit"]
-OUTCOMES: tuple[Outcome, ...] = ("all", "passed", "failed", "not tested")
-KEPT: tuple[Kept, ...] = ("all", "selected", "audit")
-
 _CACHED_OBJECTS = 8
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a filter finds."""
+
+    object_ids: tuple[str, ...]
+    """Objects with matching rows, sorted; all that match themselves where rows are not known."""
+    total: int | None
+    """Matching rows of all objects; None where only reading them would tell."""
+    rows_of: Callable[[str], list[int]]
+    """Numbers of the matching rows of an object, by size, then as stored."""
 
 
 class Catalog:
@@ -47,23 +64,64 @@ class Catalog:
         return self.source.object_ids
 
     @cached_property
+    def category_names(self) -> tuple[str, ...]:
+        """Categories that some object has, sorted."""
+        return tuple(sorted({c for c in self.source.categories if c}))
+
+    @cached_property
+    def reasons(self) -> tuple[Status, ...]:
+        """Failures that may be filtered by."""
+        index = self.source.index()
+        return (*SYNTH_FAILURES, *TEST_FAILURES) if index is None else index.reasons
+
+    @cached_property
     def hands(self) -> tuple[Hand, ...]:
         """In the order of the H axis; none for a library."""
         with self._lock:
             return self.source.hands()
 
     def preload(self) -> None:
-        """Load the hands and the first object before the first page asks for them."""
+        """Load the hands, the first object and the first rows before a page asks for them."""
         for hand in self.hands:
             body_meshes(hand)
-        self.solid(self.object_ids[0])
+        found = self.find(RowFilter(test=self.source.test))
+        first = (*found.object_ids, *self.object_ids)[0]
+        self.solid(first)
 
     def solid(self, object_id: str) -> Solid:
         """Read an object, or take it from the cache."""
         return self._cached(self._solids, object_id, self.source.load_solid)
 
-    def grasps(self, object_id: str) -> dict[str, GraspBatch]:
-        """Read all rows of an object per test, or take them from the cache; see `rows_by_test`."""
+    def find(self, wanted: RowFilter) -> Found:
+        """Find objects and rows that match."""
+        with self._lock:
+            index = self.source.index()
+            if index is None:
+                matches = objects_matching(self.object_ids, self.source.categories, wanted)
+                ids = tuple(self.object_ids[k] for k in np.flatnonzero(matches))
+                return Found(ids, None, lambda name: matching_rows(self._grasps(name), wanted))
+            found = index.find(wanted)
+            ids = tuple(self.object_ids[k] for k in np.flatnonzero(found.counts))
+            return Found(ids, found.total, lambda name: index.rows(found, name))
+
+    def sizes_mm(self, object_id: str) -> tuple[int, ...]:
+        """Sizes to choose from [mm]: of all scenes, or of the object where only that is read."""
+        index = self.source.index()
+        if index is not None:
+            return index.sizes_mm
+        batch = next(iter(self._grasps(object_id).values()), None)
+        return () if batch is None else tuple(sorted(set(batch["size_mm"].tolist())))
+
+    def grasp(self, object_id: str, row: int) -> dict[str, GraspBatch]:
+        """Read one row that was found, with the verdicts of each test; see `rows_by_test`."""
+        with self._lock:
+            index = self.source.index()
+            if index is not None:
+                return {test: index.read(row, test) for test in self.source.tests or ("f",)}
+            one = slice(row, row + 1)
+            return {t: rows.select(one) for t, rows in self._grasps(object_id).items()}
+
+    def _grasps(self, object_id: str) -> dict[str, GraspBatch]:
         return self._cached(self._batches, object_id, lambda name: rows_by_test(self.source, name))
 
     def _cached(self, cache: OrderedDict[str, T], key: str, read: Callable[[str], T]) -> T:
@@ -76,29 +134,34 @@ class Catalog:
             return cache[key]
 
 
-def matching_rows(
-    batch: GraspBatch | None,
-    *,
-    size_mm: int | None = None,
-    outcome: Outcome = "all",
-    kept: Kept = "all",
-) -> list[int]:
-    """Rows with a pose that pass the filters, ordered by size, then as stored.
+def matching_rows(tested: Mapping[str, GraspBatch], wanted: RowFilter) -> list[int]:
+    """Rows of one object that match, ordered by size, then as stored.
+
+    Rows without a pose are left out but where their reason is asked for.
 
     Args:
-        batch: Rows of one object; none gives no rows.
-        size_mm: One size; all when None.
-        outcome: What the test of these verdicts said.
-        kept: `selected` or `audit` rows.
+        tested: The same rows with the verdicts of each test; none gives no rows.
+        wanted: The filter; what it says of objects is not looked at.
     """
-    if batch is None:
+    if not tested:
         return []
-    mask = np.array([has_pose(batch, row) for row in range(len(batch))], bool)
-    if size_mm is not None:
-        mask &= batch["size_mm"] == size_mm
-    if outcome != "all":
-        mask &= verdicts_of(batch) == {"passed": 1, "failed": 0, "not tested": -1}[outcome]
-    if kept != "all" and kept in batch:
-        mask &= batch[kept]
+    batch = tested[wanted.test if wanted.test in tested else next(iter(tested))]
+    synth = batch["synth_status"] if "synth_status" in batch else np.zeros(len(batch), np.int8)
+    if wanted.reason in NO_POSE:
+        mask = synth == wanted.reason
+    else:
+        mask = np.array([has_pose(batch, row) for row in range(len(batch))], bool)
+    if wanted.reason in SYNTH_FAILURES:
+        mask &= synth == wanted.reason
+    elif wanted.reason is not None and "verdict_status" in batch:
+        mask &= (synth == Status.OK) & (batch["verdict_status"] == wanted.reason)
+    elif wanted.reason is not None:
+        mask[:] = False
+    if wanted.size_mm is not None:
+        mask &= batch["size_mm"] == wanted.size_mm
+    if wanted.outcome != "all":
+        mask &= verdicts_of(batch) == {"passed": 1, "failed": 0, "not tested": -1}[wanted.outcome]
+    if wanted.kept != "all" and wanted.kept in batch:
+        mask &= batch[wanted.kept]
     rows = np.flatnonzero(mask)
     return [int(r) for r in rows[np.argsort(batch["size_mm"][rows], kind="stable")]]

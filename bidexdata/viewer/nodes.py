@@ -104,6 +104,13 @@ class GraspNodes:
             )
             self.object.append(node)
 
+    def show_scene(self, solid: Solid, batch: GraspBatch, row: int, surface: Surface) -> None:
+        """Show the object of a row as its scene has it, and the table where there is one."""
+        size = float(batch["size"][row])
+        pos, quat = batch["object_pos"][row], batch["object_quat_wxyz"][row]
+        self.show_object(solid, size, pos, quat, surface)
+        self.show_ground(size if str(batch["setting"][row]) == "tabletop" else None)
+
     def show_ground(self, size: float | None) -> None:
         """Show the table's surface z = 0 as a grid for objects of `size` [m]; None hides it."""
         if self.ground is not None:

@@ -14,12 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.pictures.drawing import Surface
-from bidexdata.pictures.posing import poses_at
+from bidexdata.pictures.posing import has_pose, poses_at
 from bidexdata.pictures.views import side_direction
 from bidexdata.record import GraspBatch
-from bidexdata.viewer.catalog import KEPT, OUTCOMES, Catalog, matching_rows
+from bidexdata.runs.release_rows import RowFilter
+from bidexdata.viewer.catalog import Catalog, Found
+from bidexdata.viewer.filters import FilterWidgets
 from bidexdata.viewer.nodes import GraspNodes
 from bidexdata.viewer.words import (
+    found_markdown,
     identity_markdown,
     object_markdown,
     scores_markdown,
@@ -33,8 +36,9 @@ if TYPE_CHECKING:
 Aim = Callable[[NDArray[np.float64], NDArray[np.float64]], None]
 """Points a camera: position and the point it looks at [m]."""
 
-ALL_SIZES = "all sizes"
 NO_MATCH = "No grasp matches the filters."
+LISTED = 50
+"""Objects that the drop-down offers; the others are found by the text box."""
 LIBRARY_SIZE = 0.4
 """Diagonal at which a library's objects are shown [m]."""
 STAGE_MARKS = ((0.0, "pre-grasp"), (1.0, "grasp"), (2.0, "squeeze"))
@@ -64,65 +68,71 @@ class Page:
         self._setting = False  # a widget is being set from here, not by the person
         self._playing = self._closed = False
         self._aimed_at: tuple[str, float] | None = None
+        self._applied: RowFilter | None = None
+        self.found = Found((), None, lambda _: [])
+        self.object_id = ""
+        self.rows: list[int] = []
         self.tested: dict[str, GraspBatch] = {}
         self.batch: GraspBatch | None = None
-        self.rows: list[int] = []
         self._has_grasps = catalog.source.kind != "library"
         self._build_widgets()
         self._build_keys()
         self.nodes = GraspNodes(scene, catalog.hands)
-        self.open_object()
+        self.apply_filters()
 
     @property
     def row(self) -> int | None:
-        """The row that is shown; None when no row matches the filters."""
+        """Number of the row that is shown; None when no row matches the filters."""
         return self.rows[int(self.grasp.value) - 1] if self.rows else None
 
-    def open_object(self) -> None:
-        """Show the object that its widget names: read it, offer its sizes, apply the filters."""
-        with self._lock:
-            object_id = str(self.object.value)
-            self.solid = self.catalog.solid(object_id)
-            self.tested = self.catalog.grasps(object_id)
-            self.batch = next(iter(self.tested.values()), None)
-            sizes = sorted(set(self.batch["size_mm"].tolist())) if self.batch is not None else []
-            self._set(self.size, options=(ALL_SIZES, *(f"{s} mm" for s in sizes)))
-            self.about.content = object_markdown(self.solid)
-            self.apply_filters()
-
     def apply_filters(self) -> None:
-        """Find the rows that match the widgets and show the first."""
+        """Find what matches the widgets and show the first grasp, of this object if it has one."""
         with self._lock:
-            size = str(self.size.value)
-            self.rows = matching_rows(
-                self.batch,
-                size_mm=None if size == ALL_SIZES else int(size.split(maxsplit=1)[0]),
-                outcome=self.outcome.value,
-                kept=self.kept.value,
-            )
+            wanted = self.filters.wanted()
+            if wanted == self._applied:  # a person types faster than rows are found
+                return
+            self._applied, self.found = wanted, self.catalog.find(wanted)
+            self.filters.found.content = found_markdown(self.found)
+            ids = self.found.object_ids
+            self.open_object(self.object_id if self.object_id in ids or not ids else ids[0])
+
+    def open_object(self, object_id: str = "", *, last: bool = False) -> None:
+        """Show the first grasp (or the last) of an object that matches the filters.
+
+        Args:
+            object_id: Which; the first of all when empty.
+            last: Show the last.
+        """
+        with self._lock:
+            self.object_id = object_id or self.catalog.object_ids[0]
+            self._list_objects()
+            self.solid = self.catalog.solid(self.object_id)
+            self.about.content = object_markdown(self.solid)
+            self.filters.offer_sizes(self.catalog.sizes_mm(self.object_id), self._set)
+            matches = self.object_id in self.found.object_ids
+            self.rows = self.found.rows_of(self.object_id) if matches else []
             count = len(self.rows)
             self._set(self.grasp, max=max(count, 2), disabled=count < 2)
-            self._set(self.grasp, value=1)
+            self._set(self.grasp, value=max(count, 1) if last else 1)
             self.show_grasp()
 
     def show_grasp(self) -> None:
-        """Show the chosen row: object at its pose, contacts, words, hands at the stage."""
+        """Read and show the chosen row: object at its pose, contacts, words, hands at the stage."""
         with self._lock:
-            row, batch = self.row, self.batch
-            self._show_object(batch, row)
-            if batch is None or row is None:
+            row = self.row
+            self.tested = {} if row is None else self.catalog.grasp(self.object_id, row)
+            self.batch = next(iter(self.tested.values()), None)
+            self._show_object(self.batch)
+            if self.batch is None:
                 self.nodes.clear_contacts()
                 self.verdict.content = NO_MATCH if self._has_grasps else ""
                 self.identity.content = self.scores.content = ""
             else:
-                self.nodes.show_contacts(batch, row)
-                self.verdict.content = verdict_html(self.tested, row)
-                self.identity.content = identity_markdown(batch, row)
-                self.scores.content = scores_markdown(self.tested, row)
-            total = len(self.rows)
-            self.count.content = (
-                f"{int(self.grasp.value) if total else 0} of {counted(total, 'grasp')}"
-            )
+                self._show_contacts(self.batch)
+                self.verdict.content = verdict_html(self.tested, 0)
+                self.identity.content = identity_markdown(self.batch, 0)
+                self.scores.content = scores_markdown(self.tested, 0)
+            self._say_count()
             self.show_marks()
             self.show_stage()
             self._aim_camera()
@@ -130,30 +140,38 @@ class Page:
     def show_stage(self) -> None:
         """Move the hands to the stage slider's moment."""
         with self._lock:
-            if self.batch is None or self.row is None:
+            if self.batch is None or not has_pose(self.batch, 0):
                 self.nodes.pose(None)
             else:
-                self.nodes.pose(poses_at(self.batch, self.row, float(self.stage.value)))
+                self.nodes.pose(poses_at(self.batch, 0, float(self.stage.value)))
 
     def show_marks(self) -> None:
         """Show or hide contacts and forces as their boxes say."""
         self.nodes.set_visible(contacts=self.contacts.value, forces=self.forces.value)
 
     def step_grasp(self, by: int) -> None:
-        """Go to the next (1) or previous (-1) grasp; past the last object's end, start over."""
+        """Go to the next (1) or previous (-1) grasp, past an object's last to the next object."""
         with self._lock:
-            if self.rows:
-                at = (int(self.grasp.value) - 1 + by) % len(self.rows)
-                self._set(self.grasp, value=at + 1)
+            at = int(self.grasp.value) - 1 + by
+            if not 0 <= at < len(self.rows) and len(self.found.object_ids) > 1:
+                self.step_object(1 if by > 0 else -1, last=by < 0)
+            elif self.rows:
+                self._set(self.grasp, value=at % len(self.rows) + 1)
                 self.show_grasp()
 
-    def step_object(self, by: int) -> None:
-        """Go to the next (1) or previous (-1) object."""
+    def step_object(self, by: int, *, last: bool = False) -> None:
+        """Go to the next (1) or previous (-1) object that matches; `last`: to its last grasp."""
         with self._lock:
-            ids = self.catalog.object_ids
-            at = (ids.index(str(self.object.value)) + by) % len(ids)
-            self._set(self.object, value=ids[at])
-            self.open_object()
+            ids = self.found.object_ids
+            if ids:
+                at = ids.index(self.object_id) + by if self.object_id in ids else 0
+                self.open_object(ids[at % len(ids)], last=last)
+
+    def clear_filters(self) -> None:
+        """Let every grasp through again."""
+        with self._lock:
+            self.filters.reset(self._set)
+            self.apply_filters()
 
     def set_stage(self, moment: float) -> None:
         """Put the stage slider somewhere."""
@@ -163,7 +181,7 @@ class Page:
     def play(self) -> None:
         """Move from pre-grasp to squeeze; a second press while it moves does nothing."""
         with self._lock:
-            if self._playing or self.row is None:
+            if self._playing or self.batch is None or not has_pose(self.batch, 0):
                 return
             self._playing = True
         try:
@@ -180,21 +198,18 @@ class Page:
         self._closed = True
 
     def _build_widgets(self) -> None:
-        gui, ids, shown = self._gui, self.catalog.object_ids, self._has_grasps
+        gui, shown = self._gui, self._has_grasps
+        self.filters = FilterWidgets(gui, self.catalog)
         with gui.add_folder("Object"):
-            self.object = gui.add_dropdown("object", ids, initial_value=ids[0])
+            self.object = gui.add_dropdown("object", self.catalog.object_ids[:1])
+            objects = gui.add_button_group("turn to", ("previous object", "next object"))
             self.surface = gui.add_dropdown(
                 "shape",
                 ("mesh", "pieces"),
                 initial_value="mesh" if shown else "pieces",
                 hint="repaired mesh, or the convex pieces that are simulated",
             )
-            objects = gui.add_button_group("turn to", ("previous object", "next object"))
             self.about = gui.add_markdown("")
-        with gui.add_folder("Filter", visible=shown):
-            self.size = gui.add_dropdown("size", (ALL_SIZES,))
-            self.outcome = gui.add_dropdown("outcome", OUTCOMES, hint=self._outcome_hint())
-            self.kept = gui.add_dropdown("rows", KEPT, hint="selected: best; audit: drawn by seed")
         with gui.add_folder("Grasp", visible=shown):
             self.count = gui.add_markdown("")
             self.grasp = gui.add_slider("grasp", 1, 2, 1, 1)
@@ -210,9 +225,10 @@ class Page:
         with gui.add_folder("Keys", expand_by_default=False):
             gui.add_markdown(KEYS if shown else "**O** / **shift O** next / previous object")
 
-        self._on_update(self.object, self.open_object)
-        for widget in (self.size, self.outcome, self.kept):
+        self._on_update(self.object, lambda: self.open_object(str(self.object.value)))
+        for widget in self.filters.all:
             self._on_update(widget, self.apply_filters)
+        self.filters.clear.on_click(lambda _: self.clear_filters())
         for widget in (self.grasp, self.surface):
             self._on_update(widget, self.show_grasp)
         self._on_update(self.stage, self.show_stage)
@@ -221,10 +237,6 @@ class Page:
         objects.on_click(lambda _: self.step_object(_direction(objects.value)))
         grasps.on_click(lambda _: self.step_grasp(_direction(grasps.value)))
         play.on_click(lambda _: self.play())
-
-    def _outcome_hint(self) -> str:
-        source = self.catalog.source
-        return f"of test {source.test} of {source.protocol}" if source.test else "not validated"
 
     def _build_keys(self) -> None:
         gui = self._gui
@@ -259,33 +271,65 @@ class Page:
             finally:
                 self._setting = False
 
-    def _show_object(self, batch: GraspBatch | None, row: int | None) -> None:
+    def _list_objects(self) -> None:
+        """Offer the objects around this one that match the filters."""
+        ids = self.found.object_ids
+        at = ids.index(self.object_id) if self.object_id in ids else 0
+        first = max(min(at - LISTED // 2, len(ids) - LISTED), 0)
+        listed = ids[first : first + LISTED]
+        if self.object_id not in listed:
+            listed = (self.object_id, *listed)
+        if tuple(self.object.options) != listed:
+            self._set(self.object, options=listed)
+        self._set(self.object, value=self.object_id)
+
+    def _say_count(self) -> None:
+        total = len(self.rows)
+        at = int(self.grasp.value) if total else 0
+        self.count.content = f"{at:,} of {counted(total, 'grasp')} of this object"
+
+    def _show_object(self, batch: GraspBatch | None) -> None:
         surface: Surface = "pieces" if self.surface.value == "pieces" else "mesh"
-        if batch is None or row is None:
+        if batch is None:
             self.nodes.show_object(self.solid, LIBRARY_SIZE, (0, 0, 0), (1, 0, 0, 0), surface)
             self.nodes.show_ground(None)
-            return
-        size = float(batch["size"][row])
-        pos, quat = batch["object_pos"][row], batch["object_quat_wxyz"][row]
-        self.nodes.show_object(self.solid, size, pos, quat, surface)
-        self.nodes.show_ground(size if str(batch["setting"][row]) == "tabletop" else None)
+        else:
+            self.nodes.show_scene(self.solid, batch, 0, surface)
+
+    def _show_contacts(self, batch: GraspBatch) -> None:
+        if has_pose(batch, 0):
+            self.nodes.show_contacts(batch, 0)
+        else:
+            self.nodes.clear_contacts()
 
     def _aim_camera(self) -> None:
-        batch, row = self.batch, self.row
-        if batch is None or row is None:
-            centre, size, hands = np.zeros(3), LIBRARY_SIZE, []
-        else:
-            centre = np.asarray(batch["object_pos"][row], np.float64)
-            size = float(batch["size"][row])
-            hands = list(np.asarray(batch["hand_pos"][row, :, 1], np.float64))
+        size = LIBRARY_SIZE if self.batch is None else float(self.batch["size"][0])
         # A person who turned the view keeps it until another object or size comes.
         if self._aimed_at == (self.solid.object_id, size):
             return
         self._aimed_at = (self.solid.object_id, size)
-        # The hands reach about 0.2 m beyond the object on both sides.
-        away = 0.5 * (size + (0.45 if hands else 0.1)) / np.tan(0.5 * FIELD_OF_VIEW)
-        seen = [centre, *hands] if len(hands) == 1 else hands
-        self._aim(centre + away * side_direction(seen), centre)
+        self._aim(*camera_at(self.batch, 0, size))
+
+
+def camera_at(
+    batch: GraspBatch | None, row: int, size: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where to look from and at, so that object and hands are seen from the side [m].
+
+    Args:
+        batch: Rows; none for an object alone at the origin.
+        row: Which.
+        size: Diagonal of the object [m].
+    """
+    centre, hands = np.zeros(3), []
+    if batch is not None:
+        centre = np.asarray(batch["object_pos"][row], np.float64)
+        if has_pose(batch, row):
+            hands = list(np.asarray(batch["hand_pos"][row, :, 1], np.float64))
+    # The hands reach about 0.2 m beyond the object on both sides.
+    away = 0.5 * (size + (0.45 if hands else 0.1)) / np.tan(0.5 * FIELD_OF_VIEW)
+    seen = [centre, *hands] if len(hands) == 1 else hands
+    return centre + away * side_direction(seen), centre
 
 
 def _direction(label: str) -> int:

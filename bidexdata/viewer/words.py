@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from bidexdata.pictures.captions import verdicts_words
 from bidexdata.record import GraspBatch
 from bidexdata.record.fields import OF_TEST
 from bidexdata.wording import counted
+
+if TYPE_CHECKING:
+    from bidexdata.viewer.catalog import Found
 
 # column, words, factor, unit
 _SCORES = (
@@ -46,7 +50,15 @@ def verdict_html(tested: Mapping[str, GraspBatch], row: int) -> str:
 
 
 def scores_markdown(tested: Mapping[str, GraspBatch], row: int) -> str:
-    """A table of the numbers that the row has; those without a value are left out.
+    """A table of the numbers that the row has; see `scores`."""
+    lines = [f"| {words} | {value} |" for words, value in scores(tested, row)]
+    if not lines:
+        return "No scores are stored."
+    return "\n".join(["| score | value |", "|---|---|", *lines])
+
+
+def scores(tested: Mapping[str, GraspBatch], row: int) -> list[tuple[str, str]]:
+    """Names and values of the numbers that the row has; those without a value are left out.
 
     What depends on the test is told per test; the rest is that of the first test that has it.
     """
@@ -58,14 +70,22 @@ def scores_markdown(tested: Mapping[str, GraspBatch], row: int) -> str:
             if name in rows and np.isfinite(rows[name][row])
         }
         if name not in OF_TEST or len(tested) == 1:
-            lines += [f"| {words} | {value:.3g} {unit} |" for value in [*values.values()][:1]]
+            lines += [(words, f"{value:.3g} {unit}") for value in [*values.values()][:1]]
         else:
-            lines += [f"| {words}, test {t} | {v:.3g} {unit} |" for t, v in values.items()]
+            lines += [(f"{words}, test {t}", f"{v:.3g} {unit}") for t, v in values.items()]
     for side, value in zip(("left", "right"), _residuals(batch, row), strict=False):
-        lines.append(f"| QP residual, {side} hand | {value:.3g} |")
-    if not lines:
-        return "No scores are stored."
-    return "\n".join(["| score | value |", "|---|---|", *lines])
+        lines.append((f"QP residual, {side} hand", f"{value:.3g}"))
+    return lines
+
+
+def found_markdown(found: Found) -> str:
+    """How much a filter lets through."""
+    objects = f"**{len(found.object_ids):,}** object{'' if len(found.object_ids) == 1 else 's'}"
+    verb = "matches" if len(found.object_ids) == 1 else "match"
+    if found.total is None:
+        return f"{objects} {verb}."
+    grasps = f"**{found.total:,}** grasp{'' if found.total == 1 else 's'}"
+    return f"{grasps} of {objects} {'matches' if found.total == 1 else 'match'}."
 
 
 def identity_markdown(batch: GraspBatch, row: int) -> str:

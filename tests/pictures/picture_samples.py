@@ -122,6 +122,13 @@ class Made:
     def object_ids(self):
         return tuple(self.solids)
 
+    @property
+    def categories(self):
+        return ("crate", "beam")
+
+    def index(self):
+        return None
+
     def load_solid(self, object_id):
         return self.solids[object_id]
 
