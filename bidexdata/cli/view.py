@@ -20,6 +20,13 @@ def view(
     host: Annotated[
         str, typer.Option(help="Address to listen on; 0.0.0.0 shows it to the whole network.")
     ] = "127.0.0.1",
+    export: Annotated[
+        str | None,
+        typer.Option(metavar="GRASP_ID", help="Write one grasp to --out instead; serve nothing."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="With --export: the page to write.")
+    ] = None,
     as_json: options.Json = False,
     quiet: options.Quiet = False,
     debug: options.Debug = False,
@@ -28,8 +35,33 @@ def view(
 
     From another machine: ssh -L 8080:localhost:8080 MACHINE, then open http://127.0.0.1:8080.
 
-    --json keys, printed when the page is up: url, host, port, path.
+    With --export, one grasp (the first digits of its id are enough) becomes one HTML file with its
+    scene in 3D, its stages and its verdicts, which opens without a server.
+
+    --json keys, printed when the page is up: url, host, port, path. With --export: grasp_id,
+    object_id, out, bytes.
     """
+    if (export is None) != (out is None):
+        raise typer.BadParameter("--export GRASP_ID and --out FILE.html go together")
+    if export is not None and out is not None:
+        _write(path, export, out, protocol, as_json=as_json, quiet=quiet)
+    else:
+        _serve(path, protocol, host, port, as_json=as_json, quiet=quiet)
+
+
+def _write(
+    path: Path, wanted: str, out: Path, protocol: str | None, *, as_json: bool, quiet: bool
+) -> None:
+    from bidexdata.viewer.export import export_grasp
+
+    made = export_grasp(path, wanted, out, protocol=protocol)
+    lines = [f"{made.out}: grasp {made.grasp_id} of {made.object_id}, {made.bytes / 1e6:.1f} MB"]
+    finish({**made._asdict(), "out": str(made.out)}, lines, as_json=as_json, quiet=quiet)
+
+
+def _serve(
+    path: Path, protocol: str | None, host: str, port: int, *, as_json: bool, quiet: bool
+) -> None:
     import sys
 
     from bidexdata.viewer.app import serve, wait_until_interrupted

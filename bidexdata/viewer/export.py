@@ -1,0 +1,162 @@
+"""One grasp as one HTML file: the scene in 3D, moving through its stages, and what is said of it.
+
+The file needs no server and no network. The package that draws the page records the scene.
+"""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from bidexdata.errors import BadConfig, NotUsable
+from bidexdata.pictures.posing import has_pose, poses_at
+from bidexdata.record import GraspBatch
+from bidexdata.runs.browse import Browsable, open_browsable, rows_by_test
+from bidexdata.runs.first_digits import DIGITS, id_digits, require_one
+from bidexdata.runs.shards import write_text
+from bidexdata.viewer.nodes import GraspNodes
+from bidexdata.viewer.page import FIELD_OF_VIEW, camera_at
+from bidexdata.viewer.server import DEFAULT_HOST, free_port, require_viser, silent, started
+from bidexdata.viewer.words import identity_markdown, object_markdown, scores, verdict_html
+
+if TYPE_CHECKING:
+    import viser
+
+    from bidexdata.objects.prepared import Solid
+
+PAGE_ENDINGS = (".html", ".htm")
+STEPS = 41
+"""Poses from pre-grasp over grasp to squeeze, both ends included."""
+STEP_SECONDS = 0.06
+REST_SECONDS = 1.0
+"""How long the first, the middle and the last pose stand still [s]."""
+_STYLE = (
+    "position:fixed;top:1em;right:1em;width:21em;max-height:calc(100vh - 6em);overflow:auto;"
+    "background:#fffffff2;color:#222;font:13px/1.45 system-ui,sans-serif;padding:.8em 1em;"
+    "border-radius:6px;box-shadow:0 1px 6px #0004;z-index:1000"
+)
+
+
+class ExportedGrasp(NamedTuple):
+    """What was written."""
+
+    grasp_id: str
+    object_id: str
+    out: Path
+    bytes: int
+
+
+def export_grasp(
+    path: str | Path, wanted: str, out: str | Path, *, protocol: str | None = None
+) -> ExportedGrasp:
+    """Write one grasp of a run or a release as a page of its own.
+
+    Args:
+        path: The run or release.
+        wanted: A grasp_id, or the first digits of it.
+        out: An .html file; one that is there is replaced.
+        protocol: Whose verdicts are told; as `open_browsable` takes it.
+
+    Raises:
+        BadValue: `wanted` is no such number.
+        BadConfig: The file's ending is another.
+        NotUsable: No such grasp, or several, or one without a pose, or a library.
+        MissingExtra: viser is not installed.
+    """
+    out = Path(out)
+    if out.suffix.lower() not in PAGE_ENDINGS:
+        raise BadConfig(f"--out {out}: a page is written as one of {', '.join(PAGE_ENDINGS)}")
+    digits = id_digits("--export", wanted)
+    require_viser()
+    source = open_browsable(path, protocol)
+    tested = find_grasp(source, digits)
+    batch = next(iter(tested.values()))
+    grasp_id, object_id = str(batch["grasp_id"][0]), str(batch["object_id"][0])
+    if not has_pose(batch, 0):
+        raise NotUsable(f"grasp {grasp_id} of {path} has no pose: the attempt ended before it")
+    solid = source.load_solid(object_id)
+    text = _recorded(source, solid, batch)
+    panel, title = _panel(tested, solid), f"grasp {grasp_id}"
+    text = re.sub(r"<title>.*?</title>", f"<title>{title}</title>", text, count=1, flags=re.DOTALL)
+    at = text.rindex("</body>")
+    write_text(out, text[:at] + panel + text[at:])
+    return ExportedGrasp(grasp_id, object_id, out, out.stat().st_size)
+
+
+def find_grasp(source: Browsable, digits: str) -> dict[str, GraspBatch]:
+    """The grasp whose id begins with some digits: one row, with the verdicts of every test.
+
+    Raises:
+        NotUsable: There is not exactly one, or the source is a library.
+    """
+    if source.kind == "library":
+        raise NotUsable(f"{source.path} is a library: it has objects but no grasps")
+    index = source.index()
+    if index is not None:
+        named = index.rows_named(digits)
+        require_one(source.path, digits, [name for _, name in named], "grasps")
+        return {test: index.read(named[0][0], test) for test in source.tests or ("f",)}
+    found: list[dict[str, GraspBatch]] = []
+    for object_id in source.object_ids:
+        tested = rows_by_test(source, object_id)
+        ids = next(iter(tested.values()))["grasp_id"].astype(str) if tested else np.zeros(0, str)
+        for row in np.flatnonzero(np.strings.startswith(ids, digits)).tolist():
+            one = slice(row, row + 1)
+            found.append({test: rows.select(one) for test, rows in tested.items()})
+        if found and len(digits) == DIGITS:  # no other grasp has all of them
+            break
+    require_one(
+        source.path, digits, [str(next(iter(f.values()))["grasp_id"][0]) for f in found], "grasps"
+    )
+    return found[0]
+
+
+def _recorded(source: Browsable, solid: Solid, batch: GraspBatch) -> str:
+    server = started(DEFAULT_HOST, free_port())
+    try:
+        camera = server.initial_camera
+        camera.position, camera.look_at = camera_at(batch, 0, float(batch["size"][0]))
+        camera.fov = FIELD_OF_VIEW
+        nodes = GraspNodes(server.scene, source.hands())
+        nodes.show_scene(solid, batch, 0, "mesh")
+        nodes.show_contacts(batch, 0)
+        nodes.set_visible(contacts=True, forces=False)
+        return _film(server, nodes, batch)
+    finally:
+        with silent():
+            server.stop()
+
+
+def _film(server: viser.ViserServer, nodes: GraspNodes, batch: GraspBatch) -> str:
+    nodes.pose(poses_at(batch, 0, 0.0))
+    serializer = server.get_scene_serializer()
+    for moment in np.linspace(0.0, 2.0, STEPS):
+        nodes.pose(poses_at(batch, 0, float(moment)))
+        serializer.insert_sleep(REST_SECONDS if moment in (0.0, 1.0, 2.0) else STEP_SECONDS)
+    return serializer.as_html()
+
+
+def _panel(tested: Mapping[str, GraspBatch], solid: Solid) -> str:
+    batch = next(iter(tested.values()))
+    rows = "".join(
+        f"<tr><td>{html.escape(words)}</td><td align=right>{html.escape(value)}</td></tr>"
+        for words, value in scores(tested, 0)
+    )
+    return (
+        f'<div id="bidexdata" style="{_STYLE}">'
+        f"<p>{_as_html(object_markdown(solid))}</p><p>{_as_html(identity_markdown(batch, 0))}</p>"
+        f'{verdict_html(tested, 0)}<table style="width:100%">{rows}</table>'
+        "<p>left hand blue, right hand green, contacts and outward normals red</p></div>"
+    )
+
+
+def _as_html(markdown: str) -> str:
+    """The little Markdown that our words use: line ends, code and bold."""
+    text = html.escape(markdown).replace("  \n", "<br>")
+    text = re.sub(r"`([^`]*)`", r"<code>\1</code>", text)
+    return re.sub(r"\*\*([^*]*)\*\*", r"<b>\1</b>", text)
