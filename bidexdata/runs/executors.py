@@ -119,13 +119,14 @@ def _run_ray(
     ray, started = _start_ray(workers)
     try:
         # A deterministic failure fails again: no retries.
-        remote = ray.remote(num_cpus=1, max_retries=0)(work)
+        remote = ray.remote(num_cpus=1, max_retries=0)(_apply)
+        shared = ray.put(work)
         queue = iter(tasks)
         window = 2 * max(workers or int(ray.cluster_resources().get("CPU", 1)), 1)
         pending: dict[Any, T] = {}
         while True:
             while len(pending) < window and (task := next(queue, _END)) is not _END:
-                pending[remote.remote(task)] = task  # type: ignore[assignment]
+                pending[remote.remote(shared, task)] = task  # type: ignore[assignment]
             if not pending:
                 return
             (ready,), _ = ray.wait(list(pending), num_returns=1)
@@ -134,6 +135,11 @@ def _run_ray(
     finally:
         if started:
             ray.shutdown()
+
+
+def _apply(work: Callable[[T], R], task: T) -> R:
+    # Ray makes tasks of functions only, and `work` may be a partial of one.
+    return work(task)
 
 
 def _start_ray(workers: int) -> tuple[Any, bool]:
@@ -154,7 +160,7 @@ def _start_ray(workers: int) -> tuple[Any, bool]:
         num_cpus=(workers or usable_cores()) if local else None,
         include_dashboard=False,
         log_to_driver=False,
-        logging_level=logging.WARNING,
+        logging_level=logging.ERROR,
         runtime_env={"env_vars": env},
     )
     return ray, True
