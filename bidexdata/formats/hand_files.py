@@ -1,9 +1,10 @@
-"""The hands of a release: `hands/<name>/<side>/{hand.xml, tree.json}`, `hands/<name>/LICENSE`.
+"""The hands of a release: `<side>/{hand.xml, tree.json}`, `LICENSE`, `golden.json` in `hands/<name>`.
 
 `hand.xml` is the MJCF as it was simulated, with the names of its mesh files but not the files;
 `tree.json` holds the kinematic tree, contact points, limits, licence and the hashes of all assets,
-so that a reader in any language can pose the hand without MuJoCo. `LICENSE` is the text that came
-with the hand's source, for `hand.xml` is derived from it.
+so that a reader in any language can pose the hand without MuJoCo, and `golden.json` what it must
+then get (`formats.golden`). `LICENSE` is the text that came with the hand's source, for `hand.xml`
+is derived from it.
 """
 
 from __future__ import annotations
@@ -19,13 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.config import canonical_json
+from bidexdata.formats.golden import write_golden
 from bidexdata.frames import matrix_from_quat
 from bidexdata.record import HandHeader
 
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
 
-_NOT_DATA = ("make_spec", "licence_text", "prefix")
+_NOT_DATA = ("make_spec", "licence_text")
 
 
 def hand_folder(name: str, side: str) -> str:
@@ -44,6 +46,7 @@ def write_hand(root: Path, hand: Hand) -> None:
     (folder / "hand.xml").write_text(_portable_xml(spec.to_xml()), encoding="utf-8")
     (folder / "tree.json").write_text(canonical_json(tree) + "\n", encoding="utf-8")
     _write_licence(folder.parent / "LICENSE", hand.licence_text)
+    write_golden(folder.parent, hand, model)
 
 
 def contact_centres(tree: Mapping[str, Any], joints: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -51,6 +54,21 @@ def contact_centres(tree: Mapping[str, Any], joints: NDArray[np.floating]) -> ND
 
     Written here, apart from `hands.kinematics`, so that checking a release does not lean on the
     code that made it.
+
+    Args:
+        tree: Content of `tree.json`.
+        joints: Joint positions [rad], (N, J).
+    """
+    pos, rot = body_poses(tree, joints)
+    body = np.asarray(tree["contact_body"], int)
+    local = np.asarray(tree["contact_pos"], np.float64).reshape(-1, 3)
+    return pos[:, body] + np.einsum("ncij,cj->nci", rot[:, body], local)
+
+
+def body_poses(
+    tree: Mapping[str, Any], joints: NDArray[np.floating]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Origins [m], (N, B, 3), and axes, (N, B, 3, 3), of the bodies in the hand frame.
 
     Args:
         tree: Content of `tree.json`.
@@ -68,9 +86,7 @@ def contact_centres(tree: Mapping[str, Any], joints: NDArray[np.floating]) -> ND
         rot[:, b] = rot[:, parent] @ matrix_from_quat(tree["body_quat_wxyz"][b])
         if joint >= 0:
             rot[:, b] = rot[:, b] @ _about(axes[joint], q[:, joint])
-    body = np.asarray(tree["contact_body"], int)
-    local = np.asarray(tree["contact_pos"], np.float64).reshape(-1, 3)
-    return pos[:, body] + np.einsum("ncij,cj->nci", rot[:, body], local)
+    return pos, rot
 
 
 def header_of(tree: Mapping[str, Any]) -> HandHeader:

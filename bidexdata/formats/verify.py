@@ -1,9 +1,10 @@
 """Verify a release: every byte against the manifest, then what the bytes say.
 
-Plain: hashes, stray files, schemas, row counts, NaN rules, unit quaternions, splits, rates. Full:
-also every page decoded, shapes hashed again, joint limits, the stored contacts recomputed by
-forward kinematics from the stored joints, and, where the caller hands in a simulator, a random
-sample judged again.
+Plain: hashes, stray files, schemas, row counts, place and values of every row, splits, verdict
+tables, successes, golden poses by numpy, the card, and where the training form holds its numbers.
+Full: also what takes recomputing: content hash, the training form against the tables, shapes, golden
+poses by MuJoCo, joint limits, contacts by forward kinematics, every figure, and, where the caller
+hands in a simulator, a random sample judged again. docs/verifying.md says what each proves.
 """
 
 from __future__ import annotations
@@ -13,18 +14,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from bidexdata.errors import BidexError, Contradiction, NotUsable
-from bidexdata.formats import row_checks, table_checks
+from bidexdata.formats import (
+    contact_checks,
+    figure_checks,
+    golden,
+    row_checks,
+    table_checks,
+    training_checks,
+    verdict_checks,
+)
 from bidexdata.formats.manifest import damage, read_manifest
 from bidexdata.formats.release import Release
-from bidexdata.objects.prepared import Solid
-from bidexdata.record import GraspBatch
+from bidexdata.formats.verdict_checks import Judged as Judged
+from bidexdata.formats.verdict_checks import Resimulate as Resimulate
 from bidexdata.wording import counted
-
-Resimulate = Callable[[Release, GraspBatch, Solid], np.ndarray]
-"""Judges rows of one object again by test f of the default protocol: success per row, (N,)."""
 
 Law = tuple[str, Callable[[], str]]
 
@@ -86,7 +90,7 @@ def verify_release(
         path: Release folder.
         full: Also decode and recompute (see the top of this file).
         resimulate: Judges sampled rows again; left out when None.
-        sample: Rows to judge again.
+        sample: Rows of each test to judge again.
         seed: Seed of the sample.
 
     Raises:
@@ -113,8 +117,12 @@ def _plain_laws(release: Release) -> list[Law]:
         ("tables", lambda: table_checks.row_tables(release)),
         ("splits", lambda: table_checks.splits(release)),
         ("hands", lambda: table_checks.hands(release)),
+        ("golden", lambda: golden.golden_tree(release)),
         ("rows", lambda: row_checks.rows(release)),
+        ("verdict tables", lambda: verdict_checks.verdict_tables(release)),
         ("rates", lambda: table_checks.rates(release)),
+        ("layout", lambda: training_checks.training_layout(release)),
+        ("card", lambda: figure_checks.card(release)),
     ]
 
 
@@ -123,11 +131,16 @@ def _full_laws(
 ) -> list[Law]:
     laws: list[Law] = [
         ("shapes", lambda: table_checks.shapes(release)),
+        ("golden again", lambda: golden.golden_xml(release)),
+        ("training form", lambda: training_checks.training_values(release)),
         ("joint limits", lambda: row_checks.joint_limits(release)),
-        ("contacts", lambda: row_checks.contacts(release)),
+        ("contacts", lambda: contact_checks.contacts(release)),
+        ("figures", lambda: figure_checks.figures(release)),
     ]
     if resimulate is not None:
-        laws.append(("verdicts", lambda: row_checks.verdicts(release, resimulate, sample, seed)))
+        laws.append(
+            ("verdicts", lambda: verdict_checks.verdicts(release, resimulate, sample, seed))
+        )
     return laws
 
 
