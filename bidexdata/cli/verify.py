@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +17,7 @@ def verify(
     full: Annotated[
         bool,
         typer.Option(
-            "--full", help="Also decode, recompute contacts, and simulate a sample again."
+            "--full", help="Also recompute figures and contacts, and simulate a sample again."
         ),
     ] = False,
     as_json: options.Json = False,
@@ -25,18 +26,20 @@ def verify(
 ) -> None:
     """Check a release against its manifest.
 
-    Every hash, schema, count and split; with --full also what can be recomputed.
+    Every hash, schema, count, row and split; with --full also what can be recomputed
+    (docs/verifying.md says what each proves).
 
-    Exit code 4 when the release contradicts its manifest. --json keys: path, ok, full, checks
-    (a list of name, ok, detail).
+    Exit code 4 when the release contradicts its manifest. --json keys: path, ok, full, seconds,
+    checks (a list of name, ok, detail), next.
     """
     from bidexdata.formats.verify import verify_release
     from bidexdata.runs.resimulate import resimulate
 
+    start = time.monotonic()
     report = verify_release(release, full=full, resimulate=resimulate if full else None)
     lines = [f"{'ok ' if c.ok else 'BAD'} {c.name}: {c.detail}" for c in report.checks]
     finish(
-        report.to_dict(),
+        {**report.to_dict(), "seconds": round(time.monotonic() - start, 3)},
         lines,
         following=command("view", release) if report.ok else "",
         as_json=as_json,

@@ -133,19 +133,26 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _asset_hashes(spec: Any, model: Any) -> list[dict[str, Any]]:
-    """Hash every mesh: its file where there is one, and its compiled vertices and faces."""
-    found = []
-    files = {m.name or Path(m.file).stem: m.file for m in spec.meshes}
+def compiled_hashes(model: Any) -> dict[str, str]:
+    """Hash the vertices and faces of every mesh of a compiled model, by name."""
+    found = {}
     for i in range(model.nmesh):
-        name = model.mesh(i).name
-        file = files.get(name, "")
-        path = Path(spec.modelfiledir) / spec.meshdir / file if file else None
         v, nv = model.mesh_vertadr[i], model.mesh_vertnum[i]
         f, nf = model.mesh_faceadr[i], model.mesh_facenum[i]
         geometry = hashlib.sha256(np.ascontiguousarray(model.mesh_vert[v : v + nv]).tobytes())
         geometry.update(np.ascontiguousarray(model.mesh_face[f : f + nf]).tobytes())
-        row = {"mesh": name, "file": Path(file).name, "compiled_sha256": geometry.hexdigest()}
+        found[model.mesh(i).name] = geometry.hexdigest()
+    return found
+
+
+def _asset_hashes(spec: Any, model: Any) -> list[dict[str, Any]]:
+    """Hash every mesh: its file where there is one, and its compiled vertices and faces."""
+    found = []
+    files = {m.name or Path(m.file).stem: m.file for m in spec.meshes}
+    for name, digest in compiled_hashes(model).items():
+        file = files.get(name, "")
+        path = Path(spec.modelfiledir) / spec.meshdir / file if file else None
+        row = {"mesh": name, "file": Path(file).name, "compiled_sha256": digest}
         if path is not None and path.is_file():
             row["file_sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
         found.append(row)

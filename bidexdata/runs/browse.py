@@ -243,7 +243,7 @@ class ReleaseSource:
         Raises:
             NotUsable: A hand is not known here, or its joints are others.
         """
-        return tuple(_hand_of(header, self.path) for header in self.release.hands)
+        return tuple(hand_here(header, self.path) for header in self.release.hands)
 
 
 def rows_by_test(
@@ -302,7 +302,16 @@ def _no_verdicts(batch: GraspBatch) -> dict[str, np.ndarray]:
     return empty_columns(batch.header, missing, len(batch))
 
 
-def _hand_of(header: HandHeader, path: Path) -> Hand:
+def hand_here(header: HandHeader, path: Path) -> Hand:
+    """Load the hand of this installation that a header names.
+
+    Args:
+        header: Of the release at `path`.
+        path: For messages.
+
+    Raises:
+        NotUsable: There is none, or its joints are others.
+    """
     from bidexdata.hands import load_hand
 
     side = "left" if header.side == "left" else "right"

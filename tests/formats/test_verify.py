@@ -16,7 +16,9 @@ from bidexdata.formats import parquet
 from bidexdata.formats.hdf5 import rebuild_training_form
 from bidexdata.formats.manifest import damage, read_manifest, write_manifest
 from bidexdata.formats.release import Release, ReleaseRows
-from bidexdata.formats.verify import verify_release
+from bidexdata.formats.splits import SPLITS
+from bidexdata.formats.verify import Judged, verify_release
+from bidexdata.record import Status
 
 
 def failed(report) -> dict[str, str]:
@@ -153,19 +155,35 @@ def swap_rows(columns):
         ("grasps", put("size", 0, 0.3006), "rows", "size does not round to size_mm"),
         ("grasps", put("size", 0, np.nan), "rows", "size does not round to size_mm"),
         ("grasps", put("selected", 2, False), "rows", "is not selected"),
-        ("grasps", put("object_id", 0, "stranger-dddddddd"), "splits", "holds rows of"),
+        ("grasps", put("object_id", 0, "stranger-dddddddd"), "rows", "its object_id is stranger"),
         ("grasps", put("joints", 0, 3.0, 3), "joint limits", "outside the limits"),
         ("grasps", put("joints", 0, 0.9, 3), "contacts", "contact points are not where"),
         ("contacts", put("contact_point", 0, 0.3, 0), "contacts", "contact points are not where"),
         ("contacts", put("contact_index", 0, 9, 0), "rows", "names no contact point"),
         ("contacts", put("grasp_id", 0, "0" * 16), "rows", "rows are not those of"),
-        ("verdicts/paper-1-f", put("grasp_id", 0, "0" * 16), "rows", "rows are not those of"),
+        (
+            "verdicts/paper-1-f",
+            put("grasp_id", 0, "0" * 16),
+            "verdict tables",
+            "rows are not those of",
+        ),
+        ("grasps", put("setting", 3, "tabletop"), "rows", "its setting is tabletop"),
+        ("grasps", put("scene_id", 3, "box-aaaaaaaa/500/float"), "rows", "out of order"),
+        ("grasps", put("pd", 0, 0.5), "verdict tables", "pd is not that of its verdict table"),
+        ("grasps", lambda c: c.update(audit=[True] * len(c["audit"])), "rows", "row of both"),
     ],
 )
 def test_a_sealed_lie_breaks_its_law(copied, table, change, law, said):
     rewrite(copied, table, change)
     found = failed(verify_release(copied, full=True))
     assert said in found[law], found
+
+
+@pytest.mark.parametrize("bad", ["nothexadecimal!!", "0123", "0" * 17, "00000000000000AF", ""])
+def test_an_id_that_is_none_is_found(copied, bad):
+    for table in ("grasps", "contacts", "verdicts/paper-1-f"):
+        rewrite(copied, table, put("grasp_id", 5, bad))
+    assert "16 hexadecimal digits" in failed(verify_release(copied))["rows"]
 
 
 def test_rows_out_of_order_are_found(copied):
@@ -187,7 +205,8 @@ def test_a_success_that_is_none_is_found(copied):
         columns["success"] = [True] * len(columns["success"])
 
     rewrite(copied, "verdicts_audit/paper-1-f", change)
-    assert "without a grasp is marked successful" in failed(verify_release(copied))["rows"]
+    found = failed(verify_release(copied))
+    assert "without a grasp is marked successful" in found["verdict tables"]
 
 
 def test_rates_that_are_not_those_of_the_rows_are_found(copied):
@@ -195,7 +214,9 @@ def test_rates_that_are_not_those_of_the_rows_are_found(copied):
         columns["suc_f"] = [not v for v in columns["suc_f"]]
 
     rewrite(copied, "grasps", change)
-    assert "rows pass test f" in failed(verify_release(copied))["rates"]
+    found = failed(verify_release(copied))
+    assert "rows pass test f" in found["rates"]
+    assert "suc_f is not the verdict of its table" in found["verdict tables"]
 
 
 def test_missing_rows_are_found(copied):
@@ -254,27 +275,58 @@ def test_turned_objects_keep_their_contacts(tmp_path):
 def test_verdicts_are_judged_again_by_the_callback(packed):
     calls = []
 
-    def truth(release, batch, solid):
+    def truth(release, batch, solid, test):
         assert solid.object_id == batch["object_id"][0]
-        calls.append(len(batch))
-        return batch["success"].copy()
+        assert test == "f"
+        calls.append(batch)
+        return Judged(batch["success"].copy(), ", hands borrowed")
 
-    report = verify_release(packed, full=True, resimulate=truth, sample=10, seed=3)
+    report = verify_release(packed, full=True, resimulate=truth, sample=20, seed=3)
     assert report.ok
-    assert sum(calls) == 10
-    assert len(calls) > 1
+    assert sum(map(len, calls)) == 20
+    assert not all(np.concatenate([b["selected"] for b in calls]))  # audit rows too
+    assert {s for b in calls for s in b["synth_status"].tolist()} == {Status.OK}
+    told = report.checks[-1].detail
+    assert "hands borrowed" in told
+    assert told.count("borrowed") == 1
 
-    def liar(release, batch, solid):
-        return ~batch["success"]
+    def liar(release, batch, solid, test):
+        return Judged(~batch["success"])
 
     found = failed(verify_release(packed, full=True, resimulate=liar, sample=2))
-    assert "when simulated again" in found["verdicts"]
+    assert "when test f was simulated again" in found["verdicts"]
+
+
+def test_the_sample_is_that_of_its_seed(packed):
+    def drawn(seed):
+        ids = []
+
+        def note(release, batch, solid, test):
+            ids.extend(batch["grasp_id"].tolist())
+            return Judged(batch["success"])
+
+        verify_release(packed, full=True, resimulate=note, sample=5, seed=seed)
+        return ids
+
+    assert drawn(1) == drawn(1) != drawn(2)
+
+
+def test_verdicts_of_another_engine_are_not_judged_again(tmp_path):
+    settings = {"paper-1": {"engine": {"name": "mujoco_warp", "version": "1"}}}
+    out = made_release(tmp_path / "r", protocols=settings)
+
+    def never(*_):
+        raise AssertionError("its last digits vary from run to run")
+
+    report = verify_release(out, full=True, resimulate=never)
+    assert report.ok, failed(report)
+    assert "not judged again" in report.checks[-1].detail
 
 
 def test_untested_rows_are_not_judged_again(tmp_path):
     out = made_release(tmp_path / "r", tested=False)
 
-    def never(release, batch, solid):
+    def never(release, batch, solid, test):
         raise AssertionError("there is nothing to judge")
 
     assert verify_release(out, full=True, resimulate=never).ok
@@ -302,7 +354,7 @@ def test_the_training_form_is_rebuilt_from_the_tables(copied):
 
 
 def test_a_hand_that_this_machine_lacks_is_no_damage(packed: Path):
-    def lacks(*_: object) -> np.ndarray:
+    def lacks(*_: object) -> Judged:
         raise NotUsable("no such hand here")
 
     with pytest.raises(NotUsable, match="no such hand"):
