@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.errors import Contradiction
-from bidexdata.formats import parquet
 from bidexdata.record import FIELDS, GraspBatch, Status
 
 if TYPE_CHECKING:
@@ -75,7 +74,9 @@ def aligned(
         Contradiction: A file is damaged, or a table has other rows than the first.
     """
     first, *others = tables
-    streams = [_read(release, name, configuration, split, cols) for name, cols in tables.items()]
+    streams = [
+        release.row_groups(name, configuration, split, columns) for name, columns in tables.items()
+    ]
     for parts in zip(*streams, strict=True):
         ids = parts[0].column("grasp_id")
         for name, part in zip(others, parts[1:], strict=True):
@@ -124,13 +125,6 @@ def grasps_of(release: Release, columns: Sequence[str]) -> Iterator[RowGroup]:
                 kept = group.with_grasp()
                 if len(kept.batch):
                     yield kept
-
-
-def _read(
-    release: Release, table: str, configuration: str, split: str, columns: Sequence[str] | None
-) -> Iterator[pa.Table]:
-    for file in release.table_files(table, configuration, split):
-        yield from parquet.read_groups(file, columns)
 
 
 def id_numbers(ids: pa.ChunkedArray) -> tuple[NDArray[np.uint64], NDArray[np.bool_]]:

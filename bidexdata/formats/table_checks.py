@@ -13,6 +13,7 @@ from bidexdata.errors import Contradiction
 from bidexdata.formats import hdf5, parquet, tables
 from bidexdata.formats.clouds import CLOUDS
 from bidexdata.formats.hand_files import hand_folder, header_of
+from bidexdata.formats.hdf5 import count_rows
 from bidexdata.formats.object_table import shape_hash
 from bidexdata.formats.row_groups import aligned
 from bidexdata.formats.verdict_rows import verdict_rows
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
     from bidexdata.formats.release import Release
 
 
+NO_CLOUD = -1
+"""`cloud_index` of every object of a release without clouds."""
+
+
 def row_tables(release: Release) -> str:
     """Check schemas, the alignment of the row tables, and the row counts of manifest and scenes."""
     header = release.header
@@ -37,18 +42,11 @@ def row_tables(release: Release) -> str:
     }
     counts = {}
     for configuration in release.configurations:
-        aligned = None
-        for table, schema in expected.items():
-            files = release.table_files(table, configuration)
-            for file in files:
-                _same_schema(parquet.read_schema(file), schema, str(file), header)
-            groups = [(file.name, parquet.row_counts(file)) for file in files]
-            if release.form == "hdf5":
-                groups = [(s, _hdf5_rows(release, table, configuration, s)) for s in release.splits]
-            if aligned not in (None, groups):
-                raise Contradiction(f"{table} ({configuration}) has other rows than grasps")
-            aligned = groups
-        counts[configuration] = sum(sum(rows) for _, rows in aligned or [])
+        if release.form == "hdf5":
+            per_split = [count_rows(release.path, configuration, s) for s in release.split_names]
+            counts[configuration] = sum(per_split)
+        else:
+            counts[configuration] = _table_rows(release, configuration, expected)
         stated = release.figures[f"{configuration}_rows"]
         column = release.scenes.column(f"{configuration}_rows").to_numpy()
         if not counts[configuration] == stated == column.sum():
@@ -62,12 +60,34 @@ def row_tables(release: Release) -> str:
         ("runs", tables.RUN_FIELDS),
     ):
         file = release.path / f"{name}.parquet"
-        known = tuple(f for f in fields if not tables.plain_lacks(header, f.name))
-        _same_schema(parquet.read_schema(file), tables.plain_schema(known), str(file), header)
-    for kind in CLOUDS:
-        if len(release.cloud(kind)) != len(release.object_ids):
-            raise Contradiction(f"{kind}.npy has another number of objects than objects.parquet")
+        _same_schema(parquet.read_schema(file), tables.plain_schema(fields), str(file), header)
+    _check_clouds(release)
     return ", ".join(counted(n, f"{c} row") for c, n in counts.items())
+
+
+def _check_clouds(release: Release) -> None:
+    numbers = release.objects.column("cloud_index").to_pylist()
+    if numbers and all(n == NO_CLOUD for n in numbers):
+        return  # a licence policy may leave them out
+    if numbers != list(range(len(numbers))):
+        raise Contradiction("objects.parquet: cloud_index does not count the objects")
+    for kind in CLOUDS:
+        if len(release.cloud(kind)) != len(numbers):
+            raise Contradiction(f"{kind}.npy has another number of objects than objects.parquet")
+
+
+def _table_rows(release: Release, configuration: str, expected: dict[str, pa.Schema]) -> int:
+    """Check that the Parquet files of all row tables have their schemas and equal rows; count them."""
+    aligned = None
+    for table, schema in expected.items():
+        files = release.table_files(table, configuration)
+        for file in files:
+            _same_schema(parquet.read_schema(file), schema, str(file), release.header)
+        groups = [(file.name, parquet.row_counts(file)) for file in files]
+        if aligned not in (None, groups):
+            raise Contradiction(f"{table} ({configuration}) has other rows than grasps")
+        aligned = groups
+    return sum(sum(rows) for _, rows in aligned or [])
 
 
 def splits(release: Release) -> str:

@@ -66,6 +66,8 @@ def training_values(release: Release) -> str:
     path = release.path / TRAINING_FILE
     if not path.is_file():
         return _NONE
+    if release.form == "hdf5":
+        return "there are no tables to compare with: the rows stand in the training form alone"
     count, tables = 0, {"grasps": None, "contacts": None}
     with _opened(path) as file:
         for configuration in release.configurations:
@@ -96,8 +98,16 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _datasets(file: Any, configuration: str, split: str) -> Iterator[tuple[str, Any]]:
-    for name, dataset in file[f"{configuration}/{split}"].items():
-        yield f"{configuration}/{split}/{name}", dataset
+    import h5py
+
+    inside = [f"{configuration}/{split}"]
+    while inside:
+        group = inside.pop()
+        for name, found in file[group].items():
+            if isinstance(found, h5py.Group):
+                inside.append(f"{group}/{name}")
+            else:
+                yield f"{group}/{name}", found
 
 
 def _span(path: Path, name: str, dataset: Any, rows: int) -> list[tuple[int, int, str]]:
