@@ -157,9 +157,17 @@ def read_groups(
                 empty = schema.empty_table()
                 yield empty.select(names) if names is not None else empty
             for group in chosen:
-                yield file.read_row_group(group, columns=names)
-    except (OSError, pa.ArrowException) as err:
+                yield _with_columns(file.read_row_group(group, columns=names), names, path)
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as err:
         raise Contradiction(f"{path}: damaged Parquet file ({_first_line(err)})") from err
+
+
+def _with_columns(table: pa.Table, names: list[str] | None, path: Path) -> pa.Table:
+    # Arrow leaves out a column that a file has not: one flipped bit may rename it.
+    missing = sorted(set(names or ()) - set(table.column_names))
+    if missing:
+        raise Contradiction(f"{path}: column {missing[0]} is missing")
+    return table
 
 
 def read_schema(path: Path) -> pa.Schema:
@@ -173,7 +181,7 @@ def read_schema(path: Path) -> pa.Schema:
     try:
         with _open_checked(path) as file:
             return file.schema_arrow
-    except (OSError, pa.ArrowException) as err:
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as err:
         raise Contradiction(f"{path}: damaged Parquet file ({_first_line(err)})") from err
 
 
@@ -189,7 +197,7 @@ def row_counts(path: Path) -> list[int]:
         with _open_checked(path) as file:
             meta = file.metadata
             return [meta.row_group(g).num_rows for g in range(meta.num_row_groups)]
-    except (OSError, pa.ArrowException) as err:
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as err:
         raise Contradiction(f"{path}: damaged Parquet file ({_first_line(err)})") from err
 
 
@@ -216,7 +224,7 @@ def groups_with(path: Path, column: str, low: Any, high: Any) -> list[int]:
                     continue
                 found.append(g)
             return found
-    except (OSError, pa.ArrowException) as err:
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as err:
         raise Contradiction(f"{path}: damaged Parquet file ({_first_line(err)})") from err
 
 

@@ -16,7 +16,6 @@ from bidexdata.formats import parquet
 from bidexdata.formats.hdf5 import rebuild_training_form
 from bidexdata.formats.manifest import damage, read_manifest, write_manifest
 from bidexdata.formats.release import Release, ReleaseRows
-from bidexdata.formats.splits import SPLITS
 from bidexdata.formats.verify import Judged, verify_release
 from bidexdata.record import Status
 

@@ -1,0 +1,59 @@
+"""Children that write a release and say when they reach a phase, so that a test can kill them there.
+
+Phases are told by what the operating system is asked for, not by names inside the package:
+`writing` (the first file is opened), `hashing` (a cloud file is read again), `renaming` (just
+before the folder gets its name).
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from made_release import made_release
+
+PRELOADED = (
+    *("numpy", "pyarrow.compute", "pyarrow.parquet", "h5py", "mujoco", "yaml"),
+    *("bidexdata.formats.release", "bidexdata.formats.hdf5", "bidexdata.formats.clouds"),
+    *("bidexdata.hands", "bidexdata.objects.prepared", "bidexdata.objects.storage"),
+)
+"""What the server that the children come from imports: each would spend seconds on it. This file is
+not among them, for the server does not look into the folder of the tests."""
+PHASES = ("writing", "hashing", "renaming")
+
+
+def write_made(out: str, told: Connection) -> None:
+    """Write the made release of `made_release`."""
+    _tell(out, told)
+    made_release(Path(out))
+    told.send("done")
+
+
+def pack_run(run: str, out: str, told: Connection) -> None:
+    """Pack a run."""
+    from bidexdata.runs.pack import pack_runs
+
+    _tell(out, told)
+    pack_runs([run], out, name="tiny", version="1.0.0", quiet=True)
+    told.send("done")
+
+
+def _tell(out: str, told: Connection) -> None:
+    left = list(PHASES)
+
+    def reached(phase: str) -> None:
+        if phase in left:
+            left.remove(phase)
+            told.send(phase)
+
+    def hook(event: str, arguments: tuple) -> None:
+        if event == "os.rename" and os.fspath(arguments[1]) == out:
+            reached("renaming")
+        elif event == "open" and isinstance(arguments[0], str | os.PathLike):
+            path, mode = os.fspath(arguments[0]), arguments[1] or ""
+            if "partial" in str(path):
+                reached("hashing" if str(path).endswith(".npy") and mode == "r" else "writing")
+
+    sys.addaudithook(hook)
