@@ -1,7 +1,7 @@
 """Children that write a release and say when they reach a phase, so that a test can kill them there.
 
 Phases are told by what the operating system is asked for, not by names inside the package:
-`writing` (the first file is opened), `hashing` (a cloud file is read again), `renaming` (just
+`writing` (the first file is opened), `hashing` (a hand's MJCF is read again), `renaming` (just
 before the folder gets its name).
 """
 
@@ -12,7 +12,7 @@ import sys
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from made_release import made_release
+from made_release import OBJECTS, made_release
 
 PRELOADED = (
     *("numpy", "pyarrow.compute", "pyarrow.parquet", "h5py", "mujoco", "yaml"),
@@ -24,10 +24,10 @@ not among them, for the server does not look into the folder of the tests."""
 PHASES = ("writing", "hashing", "renaming")
 
 
-def write_made(out: str, told: Connection) -> None:
-    """Write the made release of `made_release`."""
+def write_made(objects: int, out: str, told: Connection) -> None:
+    """Write the release of the first made objects."""
     _tell(out, told)
-    made_release(Path(out))
+    made_release(Path(out), OBJECTS[:objects])
     told.send("done")
 
 
@@ -54,6 +54,7 @@ def _tell(out: str, told: Connection) -> None:
         elif event == "open" and isinstance(arguments[0], str | os.PathLike):
             path, mode = os.fspath(arguments[0]), arguments[1] or ""
             if "partial" in str(path):
-                reached("hashing" if str(path).endswith(".npy") and mode == "r" else "writing")
+                hashed = str(path).endswith("hand.xml") and mode == "r"
+                reached("hashing" if hashed else "writing")
 
     sys.addaudithook(hook)

@@ -265,8 +265,10 @@ def as_schema_1_0(root: Path) -> None:
         metadata = table.schema.metadata
         metadata[b"bidexdata"] = older(metadata[b"bidexdata"]).encode()
         parquet.write_table(path, table.replace_schema_metadata(metadata))
-    (root / "grasps.h5").unlink()
+    for later in (root / "grasps.h5", root / "statistics.json", *root.glob("hands/*/golden.json")):
+        later.unlink()
     head = json.loads((root / "manifest.json").read_text())
-    files = head.pop("files")
+    files, content = head.pop("files"), head.pop("content_hash")
     assert files
+    assert content
     write_manifest(root, {**head, "header": older(head["header"])})

@@ -78,7 +78,7 @@ def card(release: Release) -> str:
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         _link_tables(release.path, root)
-        write_card(root, head | {"figures": _in_order(head["figures"])})
+        write_card(root, head | {"figures": in_order(head["figures"])})
         written = [p for p in sorted(root.rglob("*")) if p.is_file() and not p.is_symlink()]
         for path in written:
             name = path.relative_to(root).as_posix()
@@ -88,7 +88,7 @@ def card(release: Release) -> str:
         return f"{', '.join(p.relative_to(root).as_posix() for p in written)} written again alike"
 
 
-def _in_order(figures: Any) -> Any:
+def in_order(figures: Any) -> Any:
     """Put keys in the order of the tally; the manifest's JSON sorts them as text."""
     if not isinstance(figures, Mapping):
         return figures
@@ -98,7 +98,7 @@ def _in_order(figures: Any) -> Any:
             keys.sort(key=known.index)
     if all(key.isdecimal() for key in keys):
         keys.sort(key=int)
-    return {key: _in_order(figures[key]) for key in keys}
+    return {key: in_order(figures[key]) for key in keys}
 
 
 def made_here(release: Release) -> bool:

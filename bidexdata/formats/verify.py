@@ -17,6 +17,7 @@ from typing import Any
 from bidexdata.errors import BidexError, Contradiction, NotUsable
 from bidexdata.formats import (
     contact_checks,
+    content_checks,
     figure_checks,
     golden,
     row_checks,
@@ -130,12 +131,14 @@ def _full_laws(
     release: Release, resimulate: Resimulate | None, sample: int, seed: int
 ) -> list[Law]:
     laws: list[Law] = [
+        ("content hash", lambda: content_checks.content(release)),
         ("shapes", lambda: table_checks.shapes(release)),
         ("golden again", lambda: golden.golden_xml(release)),
         ("training form", lambda: training_checks.training_values(release)),
         ("joint limits", lambda: row_checks.joint_limits(release)),
         ("contacts", lambda: contact_checks.contacts(release)),
         ("figures", lambda: figure_checks.figures(release)),
+        ("statistics", lambda: content_checks.statistics(release)),
     ]
     if resimulate is not None:
         laws.append(

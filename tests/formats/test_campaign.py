@@ -14,7 +14,7 @@ import killed_pack
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from made_release import made_release
+from made_release import OBJECTS, made_release
 
 from bidexdata.cli.main import run
 from bidexdata.errors import BidexError, Contradiction
@@ -186,10 +186,16 @@ def _passes(folder: Path) -> bool:
         return False
 
 
-@pytest.mark.parametrize("n", [3, pytest.param(20, marks=pytest.mark.slow)])
-def test_a_killed_writer_leaves_no_wrong_release(context, packed, tmp_path, n):
+@pytest.mark.parametrize(("n", "objects"), [(3, 1), pytest.param(20, 3, marks=pytest.mark.slow)])
+def test_a_killed_writer_leaves_no_wrong_release(context, tmp_path, n, objects):
+    def again(out: Path) -> None:
+        made_release(out, OBJECTS[:objects])
+
+    reference, folder = tmp_path / "reference", tmp_path / "killed"
+    folder.mkdir()
+    again(reference)
     target = killed_pack.write_made
-    seen = kill_campaign(context, target, (), tmp_path, tree(packed), made_release, n)
+    seen = kill_campaign(context, target, (objects,), folder, tree(reference), again, n)
     assert not all(seen), "every kill came too late"
 
 
