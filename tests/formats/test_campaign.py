@@ -203,8 +203,9 @@ def test_a_killed_writer_leaves_no_wrong_release(context, tmp_path, n, objects):
 def test_a_killed_pack_of_a_run_leaves_no_wrong_release(context, tmp_path, capsys):
     library, made = tmp_path / "library", tmp_path / "run"
     few = ["--set", "regions.anchors=60", "--set", "optimise.approach.steps=40"]
-    options = ["--hand", "capsule", "--sizes", "0.3", "--grasps", "2", "--candidates", "4", *few]
-    prepare = ["prepare", "shapes:box,cylinder,sphere", "--out", str(library), "--quiet"]
+    few += ["--setting", "tabletop"]  # which has tests f and l
+    options = ["--hand", "capsule", "--sizes", "0.3", "--grasps", "2", "--candidates", "8", *few]
+    prepare = ["prepare", "shapes:box,cylinder", "--out", str(library), "--quiet"]
     assert run(prepare) == 0
     assert run(["synth", str(library), "--out", str(made), *options, "--quiet"]) == 0
     assert run(["validate", str(made), "--quiet"]) == 0
@@ -221,4 +222,8 @@ def test_a_killed_pack_of_a_run_leaves_no_wrong_release(context, tmp_path, capsy
     capsys.readouterr()
     assert run(["verify", str(tmp_path / "reference"), "--full", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert {c["name"] for c in told["checks"]} >= {"verdicts", "figures", "golden again"}
+    details = {c["name"]: c["detail"] for c in told["checks"]}
+    assert {"figures", "golden again", "content hash"} <= set(details)
+    assert "rows of test f" in details["verdicts"]
+    assert "rows of test l" in details["verdicts"]
+    assert "installation" not in details["verdicts"]  # the release's own hands
