@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-import os
 import shutil
-import signal
 import time
 from pathlib import Path
 
@@ -160,7 +158,8 @@ def _killed(context, target, arguments, phase: str | None, lasted: float, rng) -
     child, told = _started(context, target, arguments)
     _wait(told, phase or "writing")
     time.sleep(rng.uniform(0, 1.2 * lasted if phase is None else 0.003))
-    os.kill(child.pid, signal.SIGKILL)
+    if child.is_alive():  # else it was faster than the kill
+        child.kill()
     child.join()
 
 
