@@ -173,4 +173,4 @@ def _check_hands(group: RowGroup, ok: NDArray[np.bool_]) -> None:
 
 
 def _finite(values: np.ndarray) -> NDArray[np.bool_]:
-    return np.isfinite(values).reshape(len(values), -1).all(axis=1)
+    return np.asarray(np.isfinite(values).reshape(len(values), -1).all(axis=1))
