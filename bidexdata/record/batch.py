@@ -101,8 +101,8 @@ class Header:
             version = str(data["schema_version"])
             if version.split(".", maxsplit=1)[0] != SCHEMA_VERSION.split(".", maxsplit=1)[0]:
                 raise Contradiction(
-                    f"this data has schema {version}, and this version reads {SCHEMA_VERSION}; "
-                    "upgrade bidexdata to read it"
+                    f"this data has schema {version}, and this version of bidexdata reads "
+                    f"{SCHEMA_VERSION}; upgrade it with `pip install -U bidexdata`"
                 )
             names = ("fingerprints", "version", "counts", "schema_version")
             known = {k: data[k] for k in names if k in data}

@@ -249,7 +249,7 @@ def rewritten(root: Path, **changes) -> None:
 
 def test_a_newer_major_schema_is_refused_with_the_way_out(copied):
     rewritten(copied, schema_version="2.0")
-    with pytest.raises(Contradiction, match=r"schema 2\.0.*upgrade bidexdata"):
+    with pytest.raises(Contradiction, match=r"schema 2\.0.*pip install -U bidexdata"):
         Release.open(copied)
 
 

@@ -199,7 +199,7 @@ def test_damaged_headers_are_contradictions(text):
 def test_a_newer_major_schema_names_the_upgrade_and_a_newer_minor_reads():
     ours = f'"schema_version":"{SCHEMA_VERSION}"'
     newer = HEADER.to_json().replace(ours, '"schema_version":"2.0"')
-    with pytest.raises(Contradiction, match="upgrade bidexdata"):
+    with pytest.raises(Contradiction, match="pip install -U bidexdata"):
         Header.from_json(newer)
     minor = HEADER.to_json().replace(ours, '"schema_version":"1.7"')
     assert Header.from_json(minor).hands == HEADER.hands
