@@ -19,14 +19,19 @@ import typer
 
 from bidexdata.cli.bench import bench
 from bidexdata.cli.demo import demo
-from bidexdata.cli.export import export
+from bidexdata.cli.diff import diff
 from bidexdata.cli.hands import hands
 from bidexdata.cli.import_ import import_
 from bidexdata.cli.info import info
+from bidexdata.cli.merge import merge
+from bidexdata.cli.migrate import migrate
 from bidexdata.cli.names import presets, protocols
 from bidexdata.cli.pack import pack
 from bidexdata.cli.prepare import prepare
+from bidexdata.cli.publish import publish
 from bidexdata.cli.render import render
+from bidexdata.cli.split import split
+from bidexdata.cli.subset import subset
 from bidexdata.cli.synth import synth
 from bidexdata.cli.table import table
 from bidexdata.cli.validate import validate
@@ -36,7 +41,7 @@ from bidexdata.errors import BidexError
 from bidexdata.extras import missing_extra
 
 INTERRUPTED = 130
-REPEATABLE = ("--set",)
+REPEATABLE = ("--set", "--author")
 """Options that may be given more than once."""
 # click's class, or that of the copy which newer typer carries.
 _UsageError = cast("type[Exception]", typer.BadParameter.__bases__[0])
@@ -53,6 +58,12 @@ COMMANDS = {
     "info": info,
     "table": table,
     "verify": verify,
+    "diff": diff,
+    "migrate": migrate,
+    "merge": merge,
+    "split": split,
+    "subset": subset,
+    "publish": publish,
     "hands": hands,
     "protocols": protocols,
     "presets": presets,

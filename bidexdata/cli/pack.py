@@ -10,7 +10,7 @@ import typer
 from bidexdata.cli import options
 from bidexdata.cli.figures import figure_lines
 from bidexdata.cli.report import command, finish, validate_again, warn
-from bidexdata.wording import counted
+from bidexdata.wording import counted, listed
 
 
 def pack(
@@ -22,9 +22,15 @@ def pack(
         str, typer.Option(help="both, or parquet without the training form grasps.h5.")
     ] = "both",
     licences: Annotated[
-        str, typer.Option(help="nc-ok (all objects) or permissive (known permissive licences).")
+        str,
+        typer.Option(
+            help="nc-ok (meshes that may be changed and given on), permissive (for any use), or "
+            "ids-only (all objects by name and hash, no meshes)."
+        ),
     ] = "nc-ok",
-    split: Annotated[str, typer.Option(help="object: no object is in two splits.")] = "object",
+    split: Annotated[
+        str, typer.Option(help="object, category or size: what is never in two splits.")
+    ] = "object",
     protocol: Annotated[
         str | None,
         typer.Option(
@@ -32,6 +38,15 @@ def pack(
             "left out. The tables hold those of every protocol."
         ),
     ] = None,
+    author: Annotated[
+        list[str] | None,
+        typer.Option(help="Family, Given or the name of a group; may be repeated."),
+    ] = None,
+    date: Annotated[str, typer.Option(metavar="YYYY-MM-DD", help="Day of the release.")] = "",
+    url: Annotated[str, typer.Option(help="Address where the data set is found.")] = "",
+    pictures: Annotated[
+        bool, typer.Option("--pictures/--no-pictures", help="Draw the card's picture.")
+    ] = True,
     seed: options.Seed = 0,
     as_json: options.Json = False,
     quiet: options.Quiet = False,
@@ -39,29 +54,28 @@ def pack(
 ) -> None:
     """Write a release of finished runs.
 
-    It holds tables, shapes, hands, clouds, a card and a manifest.
+    It holds tables, shapes, hands, clouds, a card with a picture, attribution, citation, a
+    Croissant file and a manifest. Authors, date and address stand in the citation; nothing is
+    taken from the clock. Objects that the licence policy leaves out are named.
 
-    --json keys: release, name, version, protocol, unfinished, untested, left_out, and all figures of the
-    card (n, objects, scenes, suc_f, kept, by_size, by_status, by_verdict, tests ...).
+    --json keys: release, name, version, protocol, unfinished, untested, left_out (a list of object_id,
+    licence), and all figures of the card (n, objects, scenes, suc_f, kept, by_size, by_status ...).
     """
-    from typing import cast
+    from bidexdata.formats.citation import About
+    from bidexdata.runs.pack import LICENCE_HINT, pack_runs
 
-    from bidexdata.errors import NotUsable
-    from bidexdata.runs.pack import Licences, pack_runs
-
-    if licences not in ("nc-ok", "permissive"):
-        raise NotUsable(f"--licences {licences!r}: this version offers nc-ok and permissive")
-    if split != "object":
-        raise NotUsable(f"--split {split!r}: this version splits by object")
     report = pack_runs(
         runs,
         out,
         name=name,
         version=version,
         form=form,
-        licences=cast("Licences", licences),
+        licences=licences,
+        split=split,
         protocol=protocol,
         seed=seed,
+        about=About(authors=tuple(author or ()), date=date, url=url),
+        pictures=pictures,
         quiet=quiet,
     )
     for unfinished, number in report.unfinished.items():
@@ -77,7 +91,9 @@ def pack(
         objects = counted(report.untested, "object has", "objects have")
         warn(f"{objects} no verdicts in the release, as some of their rows are not tested")
     if report.left_out:
-        warn(f"left out for the licence: {counted(len(report.left_out), 'object')}")
+        objects = counted(len(report.left_out), "object")
+        named = listed([f"{o.object_id} ({o.licence})" for o in report.left_out])
+        warn(f"left out under --licences {licences}: {objects}: {named}; {LICENCE_HINT}")
     data = {
         "release": str(report.path),
         "name": name,
@@ -85,7 +101,7 @@ def pack(
         "protocol": report.protocol,
         "unfinished": dict(report.unfinished),
         "untested": report.untested,
-        "left_out": list(report.left_out),
+        "left_out": [o._asdict() for o in report.left_out],
         **report.figures,
     }
     lines = [*figure_lines(report.figures, report.protocol), f"written to {report.path}"]

@@ -11,20 +11,26 @@ from string import Template
 from typing import Any
 
 from bidexdata.formats import parquet
+from bidexdata.formats.card_words import derived_text, holds_shapes, policy_text, split_text
+from bidexdata.formats.columns import release_columns
 from bidexdata.formats.figures import size_text
+from bidexdata.formats.hub import hub_metadata
 from bidexdata.formats.metric_text import metric_head, metric_text
 from bidexdata.objects.sources.item import UNKNOWN
+from bidexdata.record import Header
 from bidexdata.record.fields import HEADLINE, METRICS
 from bidexdata.record.rates import Rate
 from bidexdata.wording import counted, share
 
 CARD = "DATASET_CARD.md"
+_SHAPES = """Point clouds (`clouds/`,
+{cloud_points} points per object) and meshes are at unit bounding-box diagonal; multiply by
+the row's `size`. A file of `clouds/` is one plain float32 array (objects, points, 3): read it with
+`numpy.load(path, mmap_mode="r")`; its rows are `cloud_index` of `objects.parquet`."""
+_NO_SHAPES = """Meshes and point clouds are not in this
+release, for their licences do not allow that or nobody stated them: `objects.parquet` has of every
+object its source, the sha256 of the source file and of the prepared geometry, and the recipe."""
 README = "README.md"
-# Hugging Face's identifiers are the lower-case SPDX ones for the licences it knows.
-_HUB_LICENCES = (
-    "apache-2.0", "mit", "bsd-3-clause", "cc0-1.0", "cc-by-3.0", "cc-by-4.0", "cc-by-sa-3.0",
-    "cc-by-sa-4.0", "cc-by-nc-3.0", "cc-by-nc-4.0", "cc-by-nc-sa-4.0", "cc-by-nd-4.0",
-)  # fmt: skip
 
 
 def write_card(root: Path, head: Mapping[str, Any]) -> None:
@@ -32,12 +38,13 @@ def write_card(root: Path, head: Mapping[str, Any]) -> None:
 
     Args:
         root: Folder whose Parquet tables are complete.
-        head: The manifest's head (see `writer.write_release`).
+        head: The manifest's head (see `writer.write_release`); nothing else is read, so that the
+            pages can be written again and compared.
     """
     card = Template(files("bidexdata.formats").joinpath("dataset_card.md").read_text("utf-8"))
     text = card.substitute(_values(root, head))
     (root / CARD).write_text(text, encoding="utf-8")
-    (root / README).write_text(_hub_metadata(root, head) + "\n" + text, encoding="utf-8")
+    (root / README).write_text(hub_metadata(root, head) + "\n" + text, encoding="utf-8")
 
 
 def rate_text(rate: Mapping[str, Any]) -> str:
@@ -50,14 +57,12 @@ def rate_text(rate: Mapping[str, Any]) -> str:
 
 def _values(root: Path, head: Mapping[str, Any]) -> dict[str, Any]:
     figures, header = head["figures"], json.loads(head["header"])
-    split = head["split"]
     return {
         "name": head["name"],
         "version": head["version"],
         "schema_version": head["schema_version"],
         "generator_version": head["generator"]["version"],
         "default_protocol": head["default_protocol"],
-        "cloud_points": head["cloud_points"],
         "objects": counted(figures["objects"], "object"),
         "scenes": counted(figures["scenes"], "scene"),
         "selected_rows": counted(figures["selected_rows"], "selected dexterous grasp"),
@@ -72,9 +77,16 @@ def _values(root: Path, head: Mapping[str, Any]) -> dict[str, Any]:
         "by_size": _by_size(figures),
         "by_status": _counts(figures["by_status"], "status", "attempts"),
         "by_verdict": _counts(figures["by_verdict"], "verdict", "rows"),
-        "split_text": f"{100 * split['test_fraction']:.0f} % asked for test, seed {split['seed']}",
-        "splits": _splits(root),
+        "pictures": "".join(f"![{t}]({p})\n\n{t}\n\n" for p, t in head.get("pictures", ())),
+        "derived": derived_text(head.get("derived")),
+        "split_text": split_text(head["split"]),
+        "splits": _splits(root, head),
         "licences": _licences(root),
+        "policy_text": policy_text(head.get("licences", "")),
+        "shapes_text": (_SHAPES if holds_shapes(head) else _NO_SHAPES).format(
+            cloud_points=head["cloud_points"]
+        ),
+        "columns": _columns(head),
         "runs": _runs(root),
     }
 
@@ -144,15 +156,16 @@ def _counts(counts: Mapping[str, int], label: str, unit: str) -> str:
     return _markdown((label, unit, "share"), rows) if rows else "None recorded."
 
 
-def _splits(root: Path) -> str:
-    objects = parquet.read_table(root / "objects.parquet", ["split"]).column("split").to_pylist()
-    scenes = parquet.read_table(root / "scenes.parquet", ["split", "selected_rows", "audit_rows"])
+def _splits(root: Path, head: Mapping[str, Any]) -> str:
+    names = ["split", "selected_rows", "audit_rows"]
+    scenes = parquet.read_table(root / "scenes.parquet", names).to_pylist()
     rows = []
-    for split, count in sorted(Counter(objects).items(), reverse=True):
-        mine = [r for r in scenes.to_pylist() if r["split"] == split]
+    for split, objects in head["splits"]:
+        mine = [r for r in scenes if r["split"] == split]
         selected = sum(r["selected_rows"] for r in mine)
         audit = sum(r["audit_rows"] for r in mine)
-        rows.append((split, count, len(mine), selected, audit))
+        if objects:
+            rows.append((split, objects, len(mine), selected, audit))
     return _markdown(("split", "objects", "scenes", "selected rows", "audit rows"), rows)
 
 
@@ -164,6 +177,17 @@ def _licences(root: Path) -> str:
         authors = {r["author"] for r in rows if (r["licence"], r["source"]) == (licence, source)}
         lines.append((licence, source, count, len(authors - {UNKNOWN})))
     return _markdown(("licence", "source", "objects", "named authors"), lines)
+
+
+def _columns(head: Mapping[str, Any]) -> str:
+    """A table of the columns of every table, folded."""
+    parts = []
+    tests = [(p, t) for p, t in head["tests"]]
+    for table, columns in release_columns(Header.from_json(head["header"]), tests).items():
+        rows = [(f"`{c.name}`", c.dtype, c.shape, c.unit, c.frame, c.description) for c in columns]
+        text = _markdown(("column", "type", "shape", "unit", "frame", "meaning"), rows)
+        parts.append(f"<details><summary>{table}</summary>\n\n{text}\n\n</details>\n")
+    return "\n".join(parts)
 
 
 def _runs(root: Path) -> str:
@@ -182,62 +206,6 @@ def _runs(root: Path) -> str:
     ]
     head = ("run", "preset", "setting", "N", "attempts", "seed", "bidexdata", "fingerprint")
     return _markdown(head, rows)
-
-
-def _hub_metadata(root: Path, head: Mapping[str, Any]) -> str:
-    import yaml
-
-    licences = set(
-        parquet.read_table(root / "objects.parquet", ["licence"]).column("licence").to_pylist()
-    )
-    rows = head["figures"]["selected_rows"]
-    hands = ["bimanual"] if len(json.loads(head["header"])["hands"]) == 2 else []
-    data: dict[str, Any] = {
-        "pretty_name": f"{head['name']} {head['version']}",
-        "license": _hub_licence(licences),
-        "task_categories": ["robotics"],
-        "tags": ["dexterous grasping", *hands, "grasp synthesis", "bidexdata"],
-        "size_categories": [_size_category(rows)],
-        "configs": _configs(root),
-    }
-    return "---\n" + yaml.safe_dump(data, sort_keys=False) + "---\n"
-
-
-def _configs(root: Path) -> list[dict[str, Any]]:
-    configs: list[dict[str, Any]] = []
-    for name, folder in (("selected", "grasps"), ("audit", "grasps_audit")):
-        found = []
-        for split in ("train", "test"):
-            parts = sorted((root / folder).glob(f"{split}-*.parquet"))
-            # Hub readers refuse a split without rows.
-            if any(sum(parquet.row_counts(part)) for part in parts):
-                found.append({"split": split, "path": f"{folder}/{split}-*.parquet"})
-        if found:
-            configs.append({"config_name": name, "data_files": found})
-    if configs:
-        configs[0]["default"] = True
-    for table in ("objects", "scenes", "runs"):
-        configs.append({"config_name": table, "data_files": f"{table}.parquet"})
-    return configs
-
-
-def _hub_licence(licences: Iterable[str]) -> str:
-    known = {licence.lower() for licence in licences}
-    only = known.pop() if len(known) == 1 else ""
-    return only if only in _HUB_LICENCES else "other"
-
-
-def _size_category(rows: int) -> str:
-    bounds = (
-        (1_000, "n<1K"),
-        (10_000, "1K<n<10K"),
-        (100_000, "10K<n<100K"),
-        (1_000_000, "100K<n<1M"),
-    )
-    return next(
-        (text for bound, text in bounds if rows < bound),
-        "1M<n<10M" if rows < 10_000_000 else "10M<n<100M",
-    )
 
 
 def _share(value: float | None) -> str:

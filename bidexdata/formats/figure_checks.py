@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bidexdata.errors import Contradiction
-from bidexdata.formats.card import write_card
+from bidexdata.formats.citation import About
 from bidexdata.formats.figures import Tally
+from bidexdata.formats.pages import write_pages
 from bidexdata.formats.row_groups import aligned
 from bidexdata.formats.stored_rows import StoredRows, stored_rows
 from bidexdata.record import GraspBatch
@@ -78,7 +79,8 @@ def card(release: Release) -> str:
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         _link_tables(release.path, root)
-        write_card(root, head | {"figures": in_order(head["figures"])})
+        head |= {"figures": in_order(head["figures"])}
+        write_pages(root, head, About.of(head))
         written = [p for p in sorted(root.rglob("*")) if p.is_file() and not p.is_symlink()]
         for path in written:
             name = path.relative_to(root).as_posix()

@@ -20,6 +20,8 @@ from bidexdata.kinds import MANIFEST
 
 MANIFEST_HASH = "manifest.sha256"
 FORMAT = "bidexdata-release"
+OF_THE_HUB = (".gitattributes", ".cache")
+"""At the top of a folder that Hugging Face's client downloaded; not files of the release."""
 
 
 def sha256_of(path: Path) -> str:
@@ -89,11 +91,17 @@ def read_manifest(root: Path) -> dict[str, Any]:
 def list_files(root: Path) -> Iterator[str]:
     """Name everything under `root` that is not a plain folder, manifest files left out.
 
+    What the hub's client leaves beside a download is left out too, so that a release can be
+    verified where it was downloaded to.
+
     Links are named, not followed; an empty folder is named with a trailing slash, because a
     release that was written has none.
     """
     for folder, folders, files in os.walk(root):
         here = Path(folder).relative_to(root)
+        if here == Path():
+            for names in (folders, files):
+                names[:] = [n for n in names if n not in OF_THE_HUB]
         for name in [*files, *(f for f in folders if (Path(folder) / f).is_symlink())]:
             path = (here / name).as_posix()
             if path not in (MANIFEST, MANIFEST_HASH):

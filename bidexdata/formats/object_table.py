@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bidexdata.config import canonical_json
+from bidexdata.formats.licences import normal_licence
 from bidexdata.formats.rows import ObjectRows, ReleaseRows, RunInfo
 from bidexdata.formats.scene_facts import ScenePhysics, scene_facts
+from bidexdata.formats.splits import Splitting
 from bidexdata.formats.tables import OBJECT_FIELDS, RUN_FIELDS, SCENE_FIELDS, plain_schema
 from bidexdata.objects.prepared import Solid
 from bidexdata.objects.sources.item import UNKNOWN
@@ -43,9 +45,8 @@ def object_row(solid: Solid, shape: str) -> dict[str, Any]:
     known = solid.provenance
     text = {key: str(known.get(key) or "") for key in ("source_name", "source_sha256")}
     text["uri"] = str(known.get("uri") or "")
-    text |= {
-        key: str(known.get(key) or UNKNOWN) for key in ("source", "licence", "author", "category")
-    }
+    text |= {key: str(known.get(key) or UNKNOWN) for key in ("source", "author", "category")}
+    text["licence"] = normal_licence(known.get("licence"))
     return {
         "object_id": solid.object_id,
         **text,
@@ -59,16 +60,16 @@ def object_row(solid: Solid, shape: str) -> dict[str, Any]:
 
 
 def objects_table(rows: Sequence[Mapping[str, Any]], splits: Mapping[str, str]) -> pa.Table:
-    """The objects table, one row per object in the order of `rows`."""
+    """The objects table, one row per object in the order of `rows`, which is that of the clouds."""
     full = [
-        {**row, "cloud_index": i, "split": splits[row["object_id"]]} for i, row in enumerate(rows)
+        {"cloud_index": i, **row, "split": splits[row["object_id"]]} for i, row in enumerate(rows)
     ]
     return _table(full, OBJECT_FIELDS)
 
 
 def scene_rows(
     object_id: str,
-    split: str,
+    split: Splitting,
     parts: Iterable[ReleaseRows],
     rows: ObjectRows,
     wanted: Mapping[str, int | None],
@@ -78,7 +79,7 @@ def scene_rows(
 
     Args:
         object_id: The object.
-        split: Its split.
+        split: Where its scenes go.
         parts: Rows per run as they were given, with the counts of their headers.
         rows: The joined rows.
         wanted: Grasps to keep per scene for each run name; None for imported runs.
@@ -103,7 +104,7 @@ def scene_rows(
                 "size_mm": named.size_mm,
                 "setting": named.setting,
                 **scene_facts(named, posed.select(mine), physics),
-                "split": split,
+                "split": split.of(object_id, named.size_mm),
                 "runs": len(row["runs"]),
                 "grasps_wanted": sum(wanted[run] or 0 for run in row["runs"]),
                 "selected_rows": int((mine & rows.batch["selected"]).sum()),

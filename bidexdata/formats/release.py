@@ -16,13 +16,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.errors import Contradiction, UnknownName
+from bidexdata.errors import Contradiction, NotUsable, UnknownName
 from bidexdata.formats import hdf5, parquet, tables
 from bidexdata.formats.clouds import CLOUDS, open_cloud
+from bidexdata.formats.licences import IDS_ONLY
 from bidexdata.formats.manifest import MANIFEST, read_manifest
 from bidexdata.formats.rows import ReleaseRows as ReleaseRows
 from bidexdata.formats.rows import RunInfo as RunInfo
 from bidexdata.formats.rows import TestKey
+from bidexdata.formats.splits import ALL
 from bidexdata.formats.tables import CONFIGURATIONS, GRASP_COLUMNS, VERDICT_COLUMNS
 from bidexdata.formats.writer import ReleaseSummary as ReleaseSummary
 from bidexdata.formats.writer import write_release as write_release
@@ -38,6 +40,18 @@ if TYPE_CHECKING:
 
     from bidexdata.formats.row_index import RowIndex
     from bidexdata.objects.prepared import Solid
+
+
+class ShapesLeftOut(NotUsable):
+    """A release names its objects, but their meshes and clouds are not in it."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        super().__init__(
+            f"{path} has no meshes and no clouds (it was packed with --licences ids-only): prepare "
+            "the source files that its objects.parquet names, then use the run or library"
+        )
+
 
 _KEYS = {"name", "version", "figures", "default_protocol", "tests", "configurations", "splits"}
 
@@ -151,20 +165,52 @@ class Release:
 
     @cached_property
     def splits(self) -> dict[str, tuple[str, ...]]:
-        """Objects of each split."""
+        """Objects of each split; under a split by size an object is in every split it has sizes in."""
         found: dict[str, list[str]] = {name: [] for name in self.split_names}
         names = self.objects.column("split").to_pylist()
+        places = self._scene_splits if ALL in names else {}
         for object_id, split in zip(self.object_ids, names, strict=True):
-            found[split].append(object_id)
+            for name in places.get(object_id, ()) if split == ALL else (split,):
+                found[name].append(object_id)
         return {k: tuple(v) for k, v in found.items()}
+
+    @cached_property
+    def _scene_splits(self) -> dict[str, list[str]]:
+        columns = (self.scenes.column(n).to_pylist() for n in ("object_id", "split"))
+        pairs = set(zip(*columns, strict=True))
+        found: dict[str, list[str]] = {}
+        for object_id, split in sorted(pairs):
+            found.setdefault(object_id, []).append(split)
+        return found
+
+    @property
+    def policy(self) -> str:
+        """Licence policy that chose the objects; empty where none was asked for."""
+        return self.manifest.get("licences", "")
+
+    @property
+    def has_shapes(self) -> bool:
+        """Whether meshes, pieces and clouds are in it: not under the policy `ids-only`."""
+        return self.policy != IDS_ONLY
+
+    def require_shapes(self) -> None:
+        """Refuse what needs meshes where there are none.
+
+        Raises:
+            ShapesLeftOut: The release was packed with `--licences ids-only`.
+        """
+        if not self.has_shapes:
+            raise ShapesLeftOut(self.path)
 
     def load_solid(self, object_id: str) -> Solid:
         """Read the solid of one object.
 
         Raises:
             UnknownName: The release has no such object.
+            ShapesLeftOut: The release was packed with `--licences ids-only`.
         """
         self._check_object(object_id)
+        self.require_shapes()
         return read_solid(self.path / object_folder(object_id))
 
     def cloud(self, kind: str = "cloud_solid", object_id: str | None = None) -> NDArray[np.float32]:
@@ -172,9 +218,11 @@ class Release:
 
         Raises:
             UnknownName: No such kind or object.
+            ShapesLeftOut: The release was packed with `--licences ids-only`.
         """
         if kind not in CLOUDS:
             raise UnknownName("cloud", kind, CLOUDS)
+        self.require_shapes()
         every = open_cloud(self.path / "clouds" / f"{kind}.npy")
         if object_id is None:
             return every

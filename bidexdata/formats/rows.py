@@ -201,7 +201,7 @@ def _refuse_duplicates(rows: ObjectRows) -> None:
         runs = sorted(set(rows.run[rows.batch["grasp_id"] == twice].tolist()))
         raise NotUsable(
             f"grasp {twice} of {rows.batch['object_id'][first[0]]} is there twice "
-            f"(in {', '.join(runs)}); pack every run once"
+            f"(in {', '.join(runs)}); give every run or release once"
         )
 
 

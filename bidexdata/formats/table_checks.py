@@ -14,6 +14,7 @@ from bidexdata.formats import hdf5, parquet, tables
 from bidexdata.formats.clouds import CLOUDS
 from bidexdata.formats.hand_files import hand_folder, header_of
 from bidexdata.formats.hdf5 import count_rows
+from bidexdata.formats.object_pass import NO_CLOUD
 from bidexdata.formats.object_table import shape_hash
 from bidexdata.formats.row_groups import aligned
 from bidexdata.formats.verdict_rows import verdict_rows
@@ -26,10 +27,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from bidexdata.formats.release import Release
-
-
-NO_CLOUD = -1
-"""`cloud_index` of every object of a release without clouds."""
 
 
 def row_tables(release: Release) -> str:

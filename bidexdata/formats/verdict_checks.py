@@ -113,6 +113,8 @@ def verdicts(release: Release, resimulate: Resimulate, sample: int, seed: int) -
     if engine is not None:  # its last digits vary from run to run
         words = ", ".join(f"{key} {value}" for key, value in engine.items())
         return f"not judged again, for {name} is not MuJoCo's C engine ({words})"
+    if not release.has_shapes:
+        return "not judged again, for the licence policy leaves out the meshes"
     rng = np.random.default_rng(seed)
     notes: dict[str, None] = {}
     said = []

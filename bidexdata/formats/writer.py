@@ -9,25 +9,27 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 from bidexdata.errors import BadValue, NotUsable, UnknownChoice
 from bidexdata.formats import hdf5, parquet
-from bidexdata.formats.card import write_card
+from bidexdata.formats.citation import About
 from bidexdata.formats.content_hash import ContentTally
 from bidexdata.formats.figures import Tally
-from bidexdata.formats.hand_files import write_hand
+from bidexdata.formats.licences import IDS_ONLY
 from bidexdata.formats.manifest import write_manifest
 from bidexdata.formats.new_folder import new_folder, refuse_taken
 from bidexdata.formats.object_pass import EachObject, ObjectPass, one_by_one
 from bidexdata.formats.object_table import objects_table, runs_table, scene_rows, scenes_table
+from bidexdata.formats.pages import Picture, write_pages, write_pictures
+from bidexdata.formats.parts import PreparedParts, StoredParts
 from bidexdata.formats.row_writer import RowWriters
 from bidexdata.formats.rows import ReleaseRows, RunInfo, TestKey, join_rows
 from bidexdata.formats.scene_facts import ScenePhysics
-from bidexdata.formats.splits import SPLITS, split_objects
+from bidexdata.formats.splits import SPLITS, Splitting, split_rows
 from bidexdata.formats.statistics import write_statistics
 from bidexdata.formats.tables import CONFIGURATIONS
 from bidexdata.objects.prepared import PreparedObject
@@ -65,8 +67,8 @@ def write_release(
     version: str,
     object_ids: Sequence[str],
     rows_of: Callable[[str], Iterable[ReleaseRows]],
-    load_object: Callable[[str], PreparedObject],
-    hands: Sequence[Hand],
+    load_object: Callable[[str], PreparedObject] | None = None,
+    hands: Sequence[Hand] = (),
     runs: Sequence[RunInfo],
     tests: Sequence[TestKey],
     default_protocol: str = "paper-1",
@@ -77,6 +79,14 @@ def write_release(
     form: Form = "both",
     on_object: Callable[[str], None] | None = None,
     each_object: EachObject | None = None,
+    split_by: str = "object",
+    sizes_mm: Collection[int] = (),
+    splitting: Splitting | None = None,
+    licences: str = "",
+    about: About | None = None,
+    pictures: Callable[[Path, Mapping[str, Any]], Sequence[Picture]] | None = None,
+    stored: StoredParts | None = None,
+    derived: Mapping[str, Any] | None = None,
 ) -> ReleaseSummary:
     """Write a release folder from batches and objects.
 
@@ -86,8 +96,8 @@ def write_release(
         version: The data set's version, X.Y.Z.
         object_ids: Every object that has rows or scenes, in any order.
         rows_of: Gives all rows of one object, run by run; called once per object.
-        load_object: Gives the prepared object.
-        hands: The H axis; must be the hands of every batch.
+        load_object: Gives the prepared object; may be missing where something else writes them.
+        hands: The H axis; must be the hands of every batch. May be missing where `stored` is given.
         runs: The runs that the rows come from.
         tests: The (protocol, test) verdict tables to write.
         default_protocol: Whose verdicts become `suc_f`, `suc_l`, `suc_a` and the metrics.
@@ -100,8 +110,20 @@ def write_release(
         on_object: Called after each object's rows, for progress.
         each_object: Writes the objects in place of `load_object`, for example in several
             processes; see `object_pass`.
+        split_by: `object`, `category` or `size` (`splits.split_rows`).
+        sizes_mm: Every `size_mm` that rows or scenes have; read for a split by size only.
+        splitting: A split that is known already; `split_by`, `seed` and `test_fraction` are not
+            read then.
+        licences: The policy that chose the objects; `ids-only` leaves out shapes and clouds.
+        about: Authors, date and address.
+        pictures: Draws the card's pictures from the folder, its tables complete, and the head of
+            the manifest.
+        stored: Writes objects and hands that are stored already, in place of `load_object` and
+            `hands`.
+        derived: What the manifest says of the releases that this one is made of.
 
     Raises:
+        UnknownChoice: No such rule of splitting or policy.
         BadValue: The name or version cannot be used.
         NotUsable: The target is not empty, rows are of another hand, or the same grasp is there
             twice.
@@ -110,17 +132,18 @@ def write_release(
     out = Path(out)
     check_names(out, name, version, form)
     ids = sorted(set(object_ids))
-    header = Header(hands=tuple(h.header() for h in hands), version=_package_version())
+    about = about or About()
+    parts = stored or PreparedParts(hands, each_object or one_by_one(load_object), cloud_points)
+    header = Header(hands=parts.hands, version=_package_version())
     content = ContentTally()
     with new_folder(out) as partial:
-        one = ObjectPass(partial, cloud_points)
+        one = ObjectPass(partial, parts.cloud_points, shapes=licences != IDS_ONLY)
         one.begin(len(ids))
-        found = dict((each_object or one_by_one(load_object))(one, ids))
+        found = dict(parts.each_object(one, ids))
         objects = [found[object_id] for object_id in ids]
-        shapes = {row["object_id"]: row["shape_sha256"] for row in objects}
-        splits = split_objects(shapes, test_fraction=test_fraction, seed=seed)
-        for hand in hands:
-            write_hand(partial, hand)
+        shares = {"test_fraction": test_fraction, "seed": seed}
+        split = splitting or split_rows(split_by, objects, sizes_mm, **shares)
+        parts.write_hands(partial)
         settings = (protocols or {}).get(default_protocol)
         written = _write_rows(
             partial,
@@ -130,12 +153,12 @@ def write_release(
             runs,
             tuple(tests),
             default_protocol,
-            splits,
+            split,
             content,
             on_object,
         )
         small = {
-            "objects": objects_table(objects, splits),
+            "objects": objects_table(objects, split.objects),
             "scenes": written.scenes,
             "runs": runs_table(runs),
         }
@@ -152,16 +175,20 @@ def write_release(
             "protocols": dict(protocols or {}),
             "tests": [list(key) for key in sorted(tests)],
             "configurations": list(CONFIGURATIONS),
-            "splits": [[s, sum(1 for v in splits.values() if v == s)] for s in SPLITS],
-            "split": {"by": "object", "seed": seed, "test_fraction": test_fraction},
-            "cloud_points": cloud_points,
+            "splits": split.counts(_sizes_of(written.scenes)),
+            "split": split.manifest(),
+            "licences": licences,
+            "about": about.manifest(),
+            "cloud_points": parts.cloud_points,
             "form": form,
             "content_hash": content.digest(),
             "figures": written.figures.pop(default_protocol),
             "other_figures": written.figures,
+            **({"derived": dict(derived)} if derived else {}),
         }
         _write_hdf5(partial, form, head, tests)
-        write_card(partial, head)
+        head["pictures"] = write_pictures(partial, pictures(partial, head) if pictures else ())
+        write_pages(partial, head, about)
         write_manifest(partial, head, {} if form == "hdf5" else written.file_rows)
     return ReleaseSummary(out, head["figures"])
 
@@ -182,6 +209,12 @@ def check_names(out: Path, name: str, version: str, form: str) -> None:
     refuse_taken(out)
 
 
+def _sizes_of(scenes: pa.Table) -> list[tuple[str, int]]:
+    """object_id and size_mm of every scene."""
+    columns = (scenes.column(name).to_pylist() for name in ("object_id", "size_mm"))
+    return list(zip(*columns, strict=True))
+
+
 class _Written(NamedTuple):
     """What is known once all rows are written."""
 
@@ -199,7 +232,7 @@ def _write_rows(
     runs: Sequence[RunInfo],
     tests: tuple[TestKey, ...],
     protocol: str,
-    splits: Mapping[str, str],
+    split: Splitting,
     content: ContentTally,
     on_object: Callable[[str], None] | None,
 ) -> _Written:
@@ -222,9 +255,10 @@ def _write_rows(
                 for name, tally in tallies.items():
                     verdicts = {t: v for (p, t), v in part.verdicts.items() if p == name}
                     tally.add(part.batch, verdicts, run=part.run, grasps=wanted[part.run])
-            known = (splits[object_id], parts, rows, wanted, physics[object_id])
+            known = (split, parts, rows, wanted, physics[object_id])
             scenes += scene_rows(object_id, *known)
-            writers.add(rows, splits[object_id], protocol)
+            for name, mask in split.masks(object_id, rows.batch["size_mm"]).items():
+                writers.add(rows if mask.all() else rows.select(mask), name, protocol)
             if on_object is not None:
                 on_object(object_id)
         writers.close()

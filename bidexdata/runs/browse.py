@@ -197,15 +197,20 @@ class ReleaseSource:
 
     kind: Kind = "release"
 
-    def __init__(self, path: Path, protocol: str | None = None):
+    def __init__(self, path: Path, protocol: str | None = None, *, release: Release | None = None):
         from bidexdata.formats.release import Release
 
         self.path = path
-        self.release: Release = Release.open(path)
+        self.release: Release = Release.open(path) if release is None else release
         tests, default = self.release.protocols, self.release.default_protocol
         self.protocol = chosen_protocol(path, tests, protocol, default=default)
         self.tests = _tests_of(self.protocol, tests)
         self.test = next(iter(self.tests), "")
+
+    @classmethod
+    def of(cls, release: Release) -> ReleaseSource:
+        """Look into a release that is open already, such as one that is being written."""
+        return cls(release.path, release=release)
 
     @property
     def object_ids(self) -> tuple[str, ...]:

@@ -6,10 +6,11 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from bidexdata.config import differing_keys, to_plain
 from bidexdata.errors import NotUsable
+from bidexdata.record.scene import scene_parts
 from bidexdata.runs.chosen import DEFAULT_PROTOCOL, chosen_protocol
 from bidexdata.runs.finished import Finished, Test
 from bidexdata.runs.pack_objects import in_processes
@@ -17,26 +18,29 @@ from bidexdata.runs.progress import Progress
 from bidexdata.runs.run import Run, join_tasks
 from bidexdata.runs.shards import read_mark, shard_path
 from bidexdata.synthesis.method_names import DEFAULT_METHOD
+from bidexdata.wording import counted
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from bidexdata.formats.citation import About
     from bidexdata.formats.release import ReleaseRows, RunInfo
     from bidexdata.objects.prepared import PreparedObject
 
-Licences = Literal["permissive", "nc-ok"]
-PERMISSIVE = (
-    "cc0-1.0",
-    "cc-by-3.0",
-    "cc-by-4.0",
-    "mit",
-    "apache-2.0",
-    "bsd-2-clause",
-    "bsd-3-clause",
-    "unlicense",
-    "odc-by-1.0",
+
+LICENCE_HINT = (
+    "--licences ids-only packs the grasps without the meshes, and a list file's column `licence` "
+    "states licences when they are prepared (docs/releases.md)"
 )
-"""SPDX identifiers, lower case, that allow any use with at most attribution."""
+"""What a person can do about objects that a policy leaves out."""
+
+
+class LeftOut(NamedTuple):
+    """An object that the licence policy leaves out."""
+
+    object_id: str
+    licence: str
+    """As its source states it."""
 
 
 class TestedRows(NamedTuple):
@@ -61,7 +65,7 @@ class PackReport:
     """Tasks per run that are not done; their rows are not in the release."""
     untested: int = 0
     """Objects without verdicts because not all their rows are validated."""
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
     """Objects left out for their licence."""
     half_tested: tuple[TestedRows, ...] = ()
     """Runs with rows that the protocol has not tested."""
@@ -82,9 +86,12 @@ def pack_runs(
     name: str,
     version: str,
     form: str = "both",
-    licences: Licences = "nc-ok",
+    licences: str = "nc-ok",
+    split: str = "object",
     protocol: str | None = None,
     seed: int = 0,
+    about: About | None = None,
+    pictures: bool = True,
     quiet: bool = False,
 ) -> PackReport:
     """Write a release of all finished rows of some runs.
@@ -94,11 +101,15 @@ def pack_runs(
         out: The release folder; must not exist or be empty.
         name: Name of the data set.
         version: Its version, X.Y.Z.
-        form: `both`, `parquet` without the training form, or `hdf5`: rows in that form alone.
-        licences: `permissive` leaves out objects under any other or an unknown licence.
+        form: `both`, or `parquet` without the training form.
+        licences: `permissive` and `nc-ok` leave out objects whose licence is unknown or forbids
+            what the policy promises; `ids-only` names all objects and leaves out all meshes.
+        split: `object`, `category` or `size`: what is never in two splits.
         protocol: Whose verdicts become `suc_*` and the metrics; `paper-1` or the only one that
             the runs have verdicts of when omitted.
         seed: Seed of the split into train and test.
+        about: Authors, date and address of the data set.
+        pictures: Draw the card's picture.
         quiet: No progress.
 
     Raises:
@@ -107,17 +118,22 @@ def pack_runs(
             verdicts of several protocols and no saying which.
         UnknownName: No run has verdicts of the protocol.
     """
+    from bidexdata.formats.licences import check_policy
     from bidexdata.formats.release import write_release
+    from bidexdata.formats.splits import check_rule
     from bidexdata.formats.writer import check_names
+    from bidexdata.runs.release_pictures import card_pictures
 
     check_names(Path(out), name, version, form)  # before anything is read
+    check_policy(licences)
+    check_rule(split)
     runs = _named([Run.open(p) for p in paths])
     _check_hands(runs)
     objects = _objects(runs)
     left_out = _refused_by_licence(objects, licences)
-    ids = sorted(set(objects) - set(left_out))
+    ids = sorted(set(objects) - {o.object_id for o in left_out})
     if not ids:
-        raise NotUsable("there is nothing to pack: no run has finished rows of a usable object")
+        raise _nothing_left(left_out, licences)
     tests = sorted({t for r in runs for t in r.finished.tests})
     named = " ".join(str(r.run.path) for r in runs)
     protocol = chosen_protocol(named, tests, protocol) or DEFAULT_PROTOCOL
@@ -147,6 +163,11 @@ def pack_runs(
             default_protocol=protocol,
             protocols=_protocols(runs, tests),
             seed=seed,
+            split_by=split,
+            sizes_mm=_sizes(runs, set(ids)),
+            licences=licences,
+            about=about,
+            pictures=card_pictures if pictures else None,
             form=cast("Any", form),
             on_object=lambda object_id: progress.advance(note=object_id),
             each_object=in_processes({i: run.library for i, run in objects.items()}),
@@ -280,12 +301,29 @@ def _protocols(runs: Sequence[NamedRun], tests: Sequence[Test]) -> dict[str, Any
     return {name: settings for name, (_, settings) in sorted(found.items())}
 
 
-def _refused_by_licence(objects: Mapping[str, Run], licences: Licences) -> list[str]:
-    if licences == "nc-ok":
-        return []
-    refused = []
-    for object_id, run in objects.items():
-        licence = str(run.library.row(object_id)["licence"] or "").strip().lower()
-        if licence not in PERMISSIVE:
-            refused.append(object_id)
-    return sorted(refused)
+def _sizes(runs: Sequence[NamedRun], ids: set[str]) -> set[int]:
+    tasks = (t for one in runs for t in one.run.tasks if t.object_id in ids)
+    return {scene_parts(scene).size_mm for task in tasks for scene in task.scene_ids}
+
+
+def _refused_by_licence(objects: Mapping[str, Run], licences: str) -> list[LeftOut]:
+    from bidexdata.formats.licences import UNKNOWN, allows
+
+    found = []
+    for object_id, run in sorted(objects.items()):
+        licence = str(run.library.row(object_id)["licence"] or UNKNOWN)
+        if not allows(licence, licences):
+            found.append(LeftOut(object_id, licence))
+    return found
+
+
+def _nothing_left(left_out: Sequence[LeftOut], licences: str) -> NotUsable:
+    if not left_out:
+        return NotUsable("there is nothing to pack: no run has finished rows of a usable object")
+    first = left_out[0]
+    return NotUsable(
+        f"there is nothing to pack under --licences {licences}: "
+        f"{counted(len(left_out), 'object has a licence', 'objects have licences')} that "
+        f"{'does' if len(left_out) == 1 else 'do'} not allow it (first: {first.object_id}, "
+        f"{first.licence}); {LICENCE_HINT}"
+    )

@@ -174,6 +174,11 @@ def choose_grasps(
     )
 
 
+def grasp_tiles(source: Browsable, chosen: Sequence[Shown], views: int = 2) -> list[Tile]:
+    """Pictures of chosen grasps with their captions, drawn on the CPU."""
+    return _grasp_frames(source, chosen, views, "cpu", video=False, quiet=True)[0]
+
+
 def _matching(batch: GraspBatch, only: Only | None) -> list[int]:
     from bidexdata.pictures.posing import has_pose
 

@@ -69,6 +69,7 @@ def planned_retest(release_path: str | Path, out: str | Path) -> Run:
 
 
 def _spec(release: Release, out: Path) -> RunSpec:
+    release.require_shapes()  # grasps are tested on objects
     sizes = release.index("selected", columns=["size_mm"]).column("size_mm").unique().to_pylist()
     return RunSpec(
         kind="release",

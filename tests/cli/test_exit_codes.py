@@ -153,8 +153,8 @@ NAMED = [
     # one of a fixed set of words
     ([*SYNTH, "--setting", "water"], "one of floating, tabletop"),
     ([*PACK, "--form", "hdf"], "'both' or 'parquet'"),
-    ([*PACK, "--licences", "any"], "nc-ok and permissive"),
-    ([*PACK, "--split", "moon"], "by object"),
+    ([*PACK, "--licences", "any"], "one of permissive, nc-ok, ids-only"),
+    ([*PACK, "--split", "moon"], "one of object, category, size"),
     ([*RENDER, "--only", "beauty"], "known: success, failure"),
     (["info", "{tmp}", "--by", "beauty"], "known: object, size, hand, status"),
     ([*SYNTH, "--set", "regions.score=beauty"], "one of random, force, torque"),

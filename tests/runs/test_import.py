@@ -23,6 +23,8 @@ from bidexdata.runs.import_ import ImportRequest, import_run
 from bidexdata.runs.import_scan import read_files
 from bidexdata.runs.info import describe
 from bidexdata.runs.pack import pack_runs
+from bidexdata.runs.render import render
+from bidexdata.runs.resimulate import resimulate
 from bidexdata.runs.retest import start_retest
 from bidexdata.runs.run import Run
 from bidexdata.runs.stage import TaskExecution
@@ -49,7 +51,10 @@ def coarse():
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory) -> Path:
-    return made_dexgraspbench(tmp_path_factory.mktemp("bench"))
+    root = made_dexgraspbench(tmp_path_factory.mktemp("bench"))
+    rows = "".join(f"{name},CC BY-NC 4.0\n" for name in OBJECTS)
+    (root / "objects" / "INDEX.csv").write_text(f"file,licence\n{rows}")
+    return root
 
 
 @pytest.fixture(scope="module")
@@ -443,17 +448,31 @@ def test_an_imported_run_can_be_looked_into_packed_checked_and_tested_again(impo
             release.load_solid(object_id).nominal_volume
             == source.load_solid(object_id).nominal_volume
         )
-    with pytest.raises(NotUsable, match="nothing to pack"):
-        pack_runs(
-            [imported],
-            tmp_path / "r2",
-            name="p",
-            version="1.0.0",
-            licences="permissive",
-            quiet=True,
-        )
+    assert set(release.objects.column("licence").to_pylist()) == {"CC-BY-NC-4.0"}
     again = start_retest(tmp_path / "release", tmp_path / "again")
     assert sum(len(b) for b in again.batches()) == N
+
+
+def test_a_policy_that_the_licences_do_not_meet_leaves_names_or_nothing(imported, tmp_path):
+    names = {"name": "peer", "version": "1.0.0", "quiet": True}
+    said = r"--licences permissive: 2 objects .* CC BY-NC 4\.0\); --licences ids-only packs"
+    with pytest.raises(NotUsable, match=said):
+        pack_runs([imported], tmp_path / "r", licences="permissive", **names)
+    report = pack_runs([imported], tmp_path / "ids", licences="ids-only", **names)
+    checked = verify_release(report.path, full=True, resimulate=resimulate)
+    assert checked.ok, [c for c in checked.checks if not c.ok]
+    release = Release.open(report.path)
+    assert len(release.grasps()) == N
+    assert not (report.path / "objects").exists()
+    assert not (report.path / "clouds").exists()
+    for needs_shapes in (
+        lambda: release.load_solid(release.object_ids[0]),
+        release.cloud,
+        lambda: start_retest(report.path, tmp_path / "again"),
+        lambda: render(report.path, tmp_path / "sheet.png", quiet=True),
+    ):
+        with pytest.raises(NotUsable, match=r"ids has no meshes and no clouds .*ids-only"):
+            needs_shapes()
 
 
 def test_the_benchmark_s_own_grasps_keep_their_depths_and_verdicts(shared, menagerie, tmp_path):
