@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bidexdata.config import canonical_json
 from bidexdata.errors import Contradiction, MissingExtra
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     import mujoco
 
     from bidexdata.formats.release import Release
-    from bidexdata.hands.model import Hand
 
 GOLDEN = "golden.json"
 SEED = 12
@@ -51,40 +50,51 @@ class Positions(NamedTuple):
     """Origins of the last body of each finger, fingers by name, (K, F, 3)."""
 
 
-def write_golden(folder: Path, hand: Hand, model: mujoco.MjModel) -> None:
+def write_golden(folder: Path, tree: Mapping[str, Any], model: mujoco.MjModel) -> None:
     """Write or extend `golden.json` of a hand by one side.
 
     Args:
         folder: `hands/<name>` of the release.
-        hand: The side.
-        model: Its compiled spec.
+        tree: The side, as `tree.json` states it.
+        model: Its compiled spec, or its kinematics alone.
     """
     path = folder / GOLDEN
     known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    joints = golden_joints(hand)
-    tree = {
-        "joint_names": hand.joint_names,
-        "body_names": hand.body_names,
-        "contact_body": hand.contact_body,
-        "contact_pos": hand.contact_pos,
-        "fingers": hand.fingers,
-    }
+    joints = golden_joints(tree["joint_lower"], tree["joint_upper"])
     found = positions_by_mujoco(model, tree, joints)
-    known[hand.side] = {
+    known[tree["side"]] = {
         "seed": SEED,
-        "joint_names": list(hand.joint_names),
+        "joint_names": list(tree["joint_names"]),
         "joints": joints.tolist(),
-        "contact_names": list(hand.contact_names),
+        "contact_names": list(tree["contact_names"]),
         "contacts": _rounded(found.contacts),
-        "fingertip_bodies": _tip_bodies(hand.fingers),
+        "fingertip_bodies": _tip_bodies(tree["fingers"]),
         "fingertips": _rounded(found.fingertips),
     }
     path.write_text(canonical_json(known) + "\n", encoding="utf-8")
 
 
-def golden_joints(hand: Hand) -> NDArray[np.float64]:
+def complete_golden(folder: Path, sides: Sequence[str]) -> None:
+    """Write `golden.json` of a hand as an older schema stored it, from its own `hand.xml`.
+
+    Args:
+        folder: `hands/<name>` of a release; nothing is done where it has the file.
+        sides: Of the hand.
+
+    Raises:
+        MissingExtra: MuJoCo is not installed.
+        Contradiction: MuJoCo cannot pose what is stored.
+    """
+    if (folder / GOLDEN).exists():
+        return
+    for side in sides:
+        tree = json.loads((folder / side / "tree.json").read_text(encoding="utf-8"))
+        write_golden(folder, tree, _model_of(folder / side))
+
+
+def golden_joints(lower: ArrayLike, upper: ArrayLike) -> NDArray[np.float64]:
     """Joint vectors within the limits [rad], (K, J): both limits, zero, seeded ones."""
-    lower, upper = hand.joint_lower, hand.joint_upper
+    lower, upper = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
     draws = np.random.default_rng(SEED).random((RANDOM_POSES, len(lower)))
     fixed = [lower, upper, np.clip(np.zeros(len(lower)), lower, upper)]
     joints = np.concatenate([fixed, lower + draws * (upper - lower)])
@@ -201,14 +211,21 @@ def _by_numpy(path: Path, tree: Mapping[str, Any], joints: NDArray[np.float64]) 
 
 def _by_xml(path: Path, tree: Mapping[str, Any], joints: NDArray[np.float64]) -> Positions:
     try:
+        return positions_by_mujoco(_model_of(path), tree, joints)
+    except KeyError as err:
+        raise Contradiction(f"{path / 'hand.xml'}: MuJoCo cannot pose it ({err})") from err
+
+
+def _model_of(path: Path) -> mujoco.MjModel:
+    """Kinematics of `hand.xml` in the folder of one side."""
+    try:
         import mujoco
     except ImportError as err:
         raise MissingExtra("mujoco", "synth") from err
     try:
         text = kinematic_xml((path / "hand.xml").read_text(encoding="utf-8"))
-        model = mujoco.MjSpec.from_string(text).compile()
-        return positions_by_mujoco(model, tree, joints)
-    except (OSError, ValueError, KeyError, ET.ParseError) as err:
+        return mujoco.MjSpec.from_string(text).compile()
+    except (OSError, ValueError, ET.ParseError) as err:
         raise Contradiction(f"{path / 'hand.xml'}: MuJoCo cannot pose it ({err})") from err
 
 

@@ -46,7 +46,7 @@ def write_hand(root: Path, hand: Hand) -> None:
     (folder / "hand.xml").write_text(_portable_xml(spec.to_xml()), encoding="utf-8")
     (folder / "tree.json").write_text(canonical_json(tree) + "\n", encoding="utf-8")
     _write_licence(folder.parent / "LICENSE", hand.licence_text)
-    write_golden(folder.parent, hand, model)
+    write_golden(folder.parent, tree_of(hand), model)
 
 
 def contact_centres(tree: Mapping[str, Any], joints: NDArray[np.floating]) -> NDArray[np.float64]:
