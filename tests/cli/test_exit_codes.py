@@ -152,7 +152,7 @@ NAMED = [
     ([*PREPARE[:1], "moon:rocks", *PREPARE[2:]], "known: shapes"),
     # one of a fixed set of words
     ([*SYNTH, "--setting", "water"], "one of floating, tabletop"),
-    ([*PACK, "--form", "hdf"], "'both' or 'parquet'"),
+    ([*PACK, "--form", "hdf"], "one of both, parquet, hdf5"),
     ([*PACK, "--licences", "any"], "one of permissive, nc-ok, ids-only"),
     ([*PACK, "--split", "moon"], "one of object, category, size"),
     ([*RENDER, "--only", "beauty"], "known: success, failure"),
