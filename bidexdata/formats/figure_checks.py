@@ -12,7 +12,7 @@ import json
 import math
 import tempfile
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bidexdata.errors import Contradiction
+from bidexdata.formats.card import write_card
 from bidexdata.formats.citation import About
 from bidexdata.formats.figures import Tally
 from bidexdata.formats.pages import write_pages
@@ -72,15 +73,23 @@ def figures(release: Release) -> str:
 
 
 def card(release: Release) -> str:
-    """Write the card and all that goes with it again and compare byte by byte."""
+    """Write card and README again from the manifest and the tables and compare byte by byte."""
+    return _written_again(release, write_card)
+
+
+def pages(release: Release) -> str:
+    """The same of all pages; Croissant holds the hashes of the tables."""
+    return _written_again(release, lambda root, head: write_pages(root, head, About.of(head)))
+
+
+def _written_again(release: Release, write: Callable[[Path, dict[str, Any]], Any]) -> str:
     if not made_here(release):
         return f"not written again, for bidexdata {_version(release)} wrote it"
     head = {k: v for k, v in release.manifest.items() if k not in _NOT_OF_HEAD}
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         _link_tables(release.path, root)
-        head |= {"figures": in_order(head["figures"])}
-        write_pages(root, head, About.of(head))
+        write(root, head | {"figures": in_order(head["figures"])})
         written = [p for p in sorted(root.rglob("*")) if p.is_file() and not p.is_symlink()]
         for path in written:
             name = path.relative_to(root).as_posix()

@@ -139,6 +139,7 @@ def _full_laws(
         ("contacts", lambda: contact_checks.contacts(release)),
         ("figures", lambda: figure_checks.figures(release)),
         ("statistics", lambda: content_checks.statistics(release)),
+        ("pages", lambda: figure_checks.pages(release)),
     ]
     if resimulate is not None:
         laws.append(
