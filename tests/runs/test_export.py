@@ -54,14 +54,16 @@ def one_handed(tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("one")
     made_dexgraspbench(root / "source")
     index = root / "source" / "objects" / "INDEX.csv"
-    index.write_text("file,licence,author\nbrick,CC0-1.0,me\n")
+    index.write_text("file,licence,author\nbrick,CC0-1.0,me\nTwo_Boxes,MIT,\n")
     return released(root, "dexgraspbench", root / "source")
 
 
 @pytest.fixture(scope="module")
 def two_handed(tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("two")
-    return released(root, "bimangrasp", made_named(root / "source", "bimangrasp"))
+    source = made_named(root / "source", "bimangrasp")
+    (source / "meshdata" / "INDEX.csv").write_text("file,licence\nbrick,MIT\nTwo_Boxes,MIT\n")
+    return released(root, "bimangrasp", source)
 
 
 def again(out: Path, form: str, run: Path) -> dict[str, dict[str, np.ndarray]]:
@@ -129,7 +131,7 @@ def test_files_hold_what_the_benchmark_reads_and_only_plain_values(one_handed, t
         assert 2 * content["obj_scale"] == pytest.approx(solid_size(release, file.stem))
     with open(out / "objects" / "INDEX.csv", newline="") as stream:
         listed = {row["file"]: row for row in csv.DictReader(stream)}
-    assert {r["licence"] for r in listed.values()} == {"CC0-1.0", "unknown"}
+    assert {r["licence"] for r in listed.values()} == {"CC0-1.0", "MIT"}
 
 
 def _vertices(path: Path) -> np.ndarray:
