@@ -15,7 +15,7 @@ from pathlib import Path
 from made_release import OBJECTS, made_release
 
 PRELOADED = (
-    *("numpy", "pyarrow.compute", "pyarrow.parquet", "h5py", "mujoco", "yaml"),
+    *("numpy.random", "pyarrow.compute", "pyarrow.parquet", "pandas", "h5py", "mujoco", "yaml"),
     *("bidexdata.formats.release", "bidexdata.formats.hdf5", "bidexdata.formats.clouds"),
     *("bidexdata.hands", "bidexdata.objects.prepared", "bidexdata.objects.storage"),
 )

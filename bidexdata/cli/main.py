@@ -20,6 +20,7 @@ import typer
 from bidexdata.cli.bench import bench
 from bidexdata.cli.demo import demo
 from bidexdata.cli.diff import diff
+from bidexdata.cli.export import export
 from bidexdata.cli.hands import hands
 from bidexdata.cli.import_ import import_
 from bidexdata.cli.info import info

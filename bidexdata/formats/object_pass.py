@@ -49,8 +49,14 @@ class ObjectPass:
             shape = (objects, self.points, 3)
             np.lib.format.open_memmap(self._cloud(kind), "w+", np.float32, shape).flush()
 
-    def write(self, number: int, obj: PreparedObject) -> ObjectRow:
-        """Write the files and clouds of object `number`; give its row of the objects table."""
+    def write(self, number: int, obj: Solid, union: TriangleMesh) -> ObjectRow:
+        """Write the files and clouds of one object; give its row of the objects table.
+
+        Args:
+            number: Of the object, in the order of their ids.
+            obj: The object.
+            union: Surface of the union of its pieces.
+        """
         row = object_row(obj, shape_hash(obj))
         if not self.shapes:
             return {**row, "cloud_index": NO_CLOUD}

@@ -47,7 +47,6 @@ class Browsable(Protocol):
         """Objects, sorted."""
         ...
 
-    @property
     def categories(self) -> tuple[str, ...]:
         """Category of each object; empty where none is known."""
         ...
@@ -112,7 +111,6 @@ class LibrarySource:
         """Objects, sorted."""
         return tuple(sorted(self.library.object_ids))
 
-    @property
     def categories(self) -> tuple[str, ...]:
         """As the library's index has them."""
         return _categories(self.library, self.object_ids)
@@ -154,7 +152,6 @@ class RunSource:
         """Objects of the plan, sorted."""
         return self.run.object_ids
 
-    @property
     def categories(self) -> tuple[str, ...]:
         """As the run's library has them; a run that tests a release anew names none."""
         if self.run.spec.kind == "release":
@@ -217,7 +214,6 @@ class ReleaseSource:
         """Objects, sorted."""
         return self.release.object_ids
 
-    @property
     def categories(self) -> tuple[str, ...]:
         """As the objects table has them."""
         return self.index().categories

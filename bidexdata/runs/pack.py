@@ -101,7 +101,7 @@ def pack_runs(
         out: The release folder; must not exist or be empty.
         name: Name of the data set.
         version: Its version, X.Y.Z.
-        form: `both`, or `parquet` without the training form.
+        form: `both`, `parquet` without the training form, or `hdf5`: rows in that form alone.
         licences: `permissive` and `nc-ok` leave out objects whose licence is unknown or forbids
             what the policy promises; `ids-only` names all objects and leaves out all meshes.
         split: `object`, `category` or `size`: what is never in two splits.

@@ -66,7 +66,7 @@ class Catalog:
     @cached_property
     def category_names(self) -> tuple[str, ...]:
         """Categories that some object has, sorted."""
-        return tuple(sorted({c for c in self.source.categories if c}))
+        return tuple(sorted({c for c in self.source.categories() if c}))
 
     @cached_property
     def reasons(self) -> tuple[Status, ...]:
@@ -97,7 +97,7 @@ class Catalog:
         with self._lock:
             index = self.source.index()
             if index is None:
-                matches = objects_matching(self.object_ids, self.source.categories, wanted)
+                matches = objects_matching(self.object_ids, self.source.categories(), wanted)
                 ids = tuple(self.object_ids[k] for k in np.flatnonzero(matches))
                 return Found(ids, None, lambda name: matching_rows(self._grasps(name), wanted))
             found = index.find(wanted)

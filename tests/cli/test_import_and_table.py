@@ -169,6 +169,7 @@ def test_grasps_that_the_hand_cannot_take_are_counted_and_packed_as_audit_rows(t
     assert run([*words, "--executor", "inline"]) == 0
     assert "without a pose: 1 joint_range (joints lie outside" in capsys.readouterr().out
     packed = ["pack", str(out), "--out", str(release), "--name", "a", "--version", "1.0.0"]
+    packed += ["--licences", "ids-only"]  # the files state none
     assert run([*packed, "--quiet", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)
     assert (figures["n"], figures["selected_rows"], figures["audit_rows"]) == (12, 11, 1)

@@ -233,7 +233,7 @@ def test_grasps_may_grow_and_old_shards_stay(whole: Path, library: Path, capsys)
         (["--sizes", "0.3,0.5"], "sizes_mm"),
         (["--grasps", "1"], "grasps: 2 -> 1"),
         (["--set", "optimise.approach.steps=41"], "config.optimise.approach.steps: 40 -> 41"),
-        (["--preset", "paper"], "config."),
+        (["--preset", "paper"], "preset: 'default' -> 'paper'"),
     ],
 )
 def test_another_configuration_gives_5_and_names_the_keys(

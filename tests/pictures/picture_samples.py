@@ -122,7 +122,6 @@ class Made:
     def object_ids(self):
         return tuple(self.solids)
 
-    @property
     def categories(self):
         return ("crate", "beam")
 
