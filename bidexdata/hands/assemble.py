@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from bidexdata.errors import BadConfig
 from bidexdata.hands.mirror import mirrored, palm_frame_of
 from bidexdata.hands.model import FloatArray, Hand, Side
 from bidexdata.hands.pairs import self_pairs
-from bidexdata.hands.source import HandMjcf, load_model
+from bidexdata.hands.source import HandMjcf, load_model, mounted_spec
 from bidexdata.hands.spec import HandSpec
 from bidexdata.hands.spheres import fit_spheres
 from bidexdata.hands.tree import HandTree, coupling_matrix, read_tree
@@ -35,7 +36,7 @@ def written_hand(spec: HandSpec, folder: Path) -> Hand:
     """
     mjcf = load_model(spec, spec.written_for, folder)
     model = mjcf.make_spec().compile()
-    hand = _with_pads(spec, _bare_hand(spec, spec.written_for, mjcf, read_tree(model)))
+    hand = _with_pads(spec, _bare_hand(spec, spec.written_for, mjcf, read_tree(model), folder))
     spheres = fit_spheres(hand, model, spec.spheres)
     hand = replace(
         hand, sphere_body=spheres.body, sphere_pos=spheres.pos, sphere_radius=spheres.radius
@@ -52,11 +53,11 @@ def mirrored_hand(spec: HandSpec, written: Hand, folder: Path) -> Hand:
     side: Side = "left" if written.side == "right" else "right"
     mjcf = load_model(spec, side, folder)
     model = mjcf.make_spec().compile()
-    bare = _bare_hand(spec, side, mjcf, read_tree(model))
+    bare = _bare_hand(spec, side, mjcf, read_tree(model), folder)
     return mirrored(spec, written, bare, (written.make_spec().compile(), model))
 
 
-def _bare_hand(spec: HandSpec, side: Side, mjcf: HandMjcf, tree: HandTree) -> Hand:
+def _bare_hand(spec: HandSpec, side: Side, mjcf: HandMjcf, tree: HandTree, folder: Path) -> Hand:
     """Everything that the model and the spec's names give: no contacts, no spheres, all at zero."""
     prefix = spec.side(side).prefix
     for finger, bodies in spec.fingers.items():
@@ -90,6 +91,7 @@ def _bare_hand(spec: HandSpec, side: Side, mjcf: HandMjcf, tree: HandTree) -> Ha
         make_spec=mjcf.make_spec,
         licence_text=mjcf.licence_text,
         prefix=prefix,
+        make_mounted=partial(mounted_spec, spec, side, folder),
     )
 
 

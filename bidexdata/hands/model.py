@@ -110,6 +110,9 @@ class Hand:
     licence_text: str = field(default="", repr=False)
     """The licence as it stands beside the source; empty where the source has no such file. What is
     derived from the source must carry it."""
+    make_mounted: Callable[[str], mujoco.MjSpec] | None = field(default=None, repr=False)
+    """Give a fresh `mujoco.MjSpec` of the hand cut at a body above its root (named without the
+    side's prefix), as an arm carries it: with the wrist joints, their actuators and the forearm."""
 
     @property
     def fingertips(self) -> int:

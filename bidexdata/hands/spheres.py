@@ -50,14 +50,25 @@ def fit_spheres(hand: Hand, model: mujoco.MjModel, settings: SphereFitSpec) -> S
         if not shapes:
             continue
         pads = np.flatnonzero(hand.contact_body[tips] == body)
-        pos, radius = _cover(shapes, hand.contact_pos[pads], hand.contact_radius[pads], settings)
+        pos, radius = cover(shapes, hand.contact_pos[pads], hand.contact_radius[pads], settings)
         found.append(Spheres(np.full(len(radius), body, np.int32), pos, radius))
     return Spheres(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
-def _cover(
+def cover(
     shapes: list[Shape], pad_pos: FloatArray, pad_radius: FloatArray, settings: SphereFitSpec
 ) -> tuple[FloatArray, FloatArray]:
+    """Cover the collision geometry of one body.
+
+    Args:
+        shapes: Of the body, in its frame.
+        pad_pos: Centres of contact spheres that it carries already [m], (n, 3).
+        pad_radius: Their radii [m], (n,).
+        settings: Radii and tolerances.
+
+    Returns:
+        Centres in the body's frame (k, 3) and radii (k,) [m].
+    """
     samples, area = surface_samples(shapes, 2.0 * settings.spacing)
     centres = _grid_inside(shapes, settings.spacing)
     apart = _gaps(samples, centres, 0.0)
