@@ -1,0 +1,215 @@
+"""Spheres of an arm, the wrist and the forearm of its hand, and of the fixtures, for searching.
+
+Spheres of the model stay as they are; capsules and cylinders become strings of spheres along their
+axes, meshes and boxes a greedy cover. MuJoCo has the final word on every path, so spheres need not
+be exact: they may stand out by, or leave uncovered, at most `TOLERANCE`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bidexdata.arms.chain import Chain, chain_frames
+from bidexdata.arms.spec import FixtureSpec
+from bidexdata.hands.geometry import Shape, body_shapes
+from bidexdata.hands.model import FloatArray
+from bidexdata.hands.spec import SphereFitSpec
+from bidexdata.hands.spheres import cover
+
+if TYPE_CHECKING:
+    import mujoco
+
+TOLERANCE = 0.025
+"""How far the surface of a link may lie outside its spheres, and they outside of it [m]."""
+POSTURES = 2000
+"""Random postures that decide which spheres of one arm can meet."""
+ALWAYS = 0.95
+"""Share of the postures from which on two spheres that overlap are neighbours by design [-]."""
+_STEP = 1.0
+"""Distance of the spheres of a string, in radii [-]."""
+_SWELL = 1.06
+"""Radius of the spheres of a string, in radii of the capsule: what they stand out and what they
+leave uncovered between them is then about equal [-]."""
+_MESH = SphereFitSpec(min_radius=0.02, max_radius=0.09, protrusion=0.006, slack=0.15, worth=8e-4,
+                      worth_share=0.02, thin=0.008, spacing=0.01)  # fmt: skip
+
+
+class ArmSpheres(NamedTuple):
+    """K spheres that the joints of a chain move, and those that stand still."""
+
+    joint: Int[np.ndarray, " K"]
+    """The last joint of the chain that moves each; -1 for the base and fixtures."""
+    pos: Float[np.ndarray, "K 3"]
+    """Centres in that joint's frame, in the world for -1 [m]."""
+    radius: Float[np.ndarray, " K"]
+    """[m]."""
+    part: tuple[str, ...]
+    """Body of each, for messages; `fixture` for those of the rig."""
+    against_self: Int[np.ndarray, "P 2"]
+    """Pairs that may collide, that do in some posture, and that do not always overlap."""
+
+
+def fit_arm_spheres(
+    model: mujoco.MjModel, chain: Chain, bodies: list[str], fixtures: tuple[FixtureSpec, ...]
+) -> ArmSpheres:
+    """Give the spheres of an arm.
+
+    Args:
+        model: One arm at its place with its hand.
+        chain: Its chain.
+        bodies: Names in the model of the bodies that move with the arm alone: arm, forearm, wrist.
+        fixtures: Boxes that stand still.
+    """
+    shapes = body_shapes(model)
+    first = [int(model.body(name).id) for name in bodies]
+    joint, pos, radius, owner = [], [], [], []
+    last, placed = _carriers(model, chain)
+    for body in first:
+        centres, radii = shape_spheres(shapes[body - 1])
+        T = placed[body]
+        joint += [last[body]] * len(radii)
+        pos.append(centres @ T[:3, :3].T + T[:3, 3])
+        radius.append(radii)
+        owner += [body] * len(radii)
+    for box in fixtures:
+        centres, radii = _string_in_box(np.array(box.pos), np.array(box.half))
+        joint += [-1] * len(radii)
+        pos.append(centres)
+        radius.append(radii)
+        owner += [0] * len(radii)
+    names = {b: model.body(b).name.rpartition("/")[2] for b in first} | {0: "fixture"}
+    spheres = ArmSpheres(
+        joint=np.array(joint, np.int32),
+        pos=np.concatenate([np.zeros((0, 3)), *pos]),
+        radius=np.concatenate([np.zeros(0), *radius]),
+        part=tuple(names[b] for b in owner),
+        against_self=np.zeros((0, 2), np.int32),
+    )
+    pairs = _meeting_pairs(chain, spheres, _may_collide(model, np.array(owner, int)))
+    return spheres._replace(against_self=pairs)
+
+
+def place_spheres(
+    chain: Chain, spheres: ArmSpheres, q: Float[np.ndarray, "*b A"]
+) -> Float[np.ndarray, "*b K 3"]:
+    """Centres of the spheres in the world [m] at joint angles [rad]."""
+    pos, rot = chain_frames(chain, q)
+    fixed = spheres.joint < 0
+    joint = np.where(fixed, 0, spheres.joint)
+    moving = pos[..., joint, :] + np.einsum("...kij,kj->...ki", rot[..., joint, :, :], spheres.pos)
+    return np.where(fixed[:, None], spheres.pos, moving)
+
+
+def shape_spheres(shapes: list[Shape]) -> tuple[FloatArray, FloatArray]:
+    """Spheres for the collision geometry of one body: centres (k, 3) and radii (k,) [m]."""
+    found = [(np.zeros((0, 3)), np.zeros(0))]
+    covered = [shape for shape in shapes if shape.kind in ("mesh", "box")]
+    for shape in shapes:
+        if shape.kind == "sphere":
+            found.append((shape.pos[None], shape.size[:1]))
+        elif shape.kind in ("capsule", "cylinder"):
+            found.append(_string(shape))
+    if covered:
+        found.append(cover(covered, np.zeros((0, 3)), np.zeros(0), _MESH))
+    return np.concatenate([c for c, _ in found]), np.concatenate([r for _, r in found])
+
+
+def _string(shape: Shape) -> tuple[FloatArray, FloatArray]:
+    radius, half = float(shape.size[0]), float(shape.size[1])
+    if shape.kind == "cylinder":
+        # The rim of a flat end is covered by a sphere half a radius inside of it.
+        half = max(half - 0.5 * radius, 0.0)
+    count = int(np.ceil(2 * half / (_STEP * radius))) + 1
+    z = np.linspace(-half, half, count) if count > 1 else np.zeros(1)
+    centres = shape.pos + z[:, None] * shape.R[:, 2]
+    return centres, np.full(count, _SWELL * radius)
+
+
+def _string_in_box(pos: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A string along the longest edge of an upright box."""
+    along = int(np.argmax(half))
+    radius = _SWELL * float(np.sort(half)[-2])
+    reach = max(float(half[along]) - 0.5 * radius, 0.0)
+    count = max(int(np.ceil(2 * reach / radius)) + 1, 1)
+    offset = np.linspace(-reach, reach, count) if count > 1 else np.zeros(1)
+    return pos + offset[:, None] * np.eye(3)[along], np.full(count, radius)
+
+
+def _carriers(
+    model: mujoco.MjModel, chain: Chain
+) -> tuple[dict[int, int], dict[int, FloatArray]]:
+    """For each body the last joint of the chain that moves it, and its pose in that joint's frame.
+
+    Poses of bodies that stand still are in the world. Bodies behind other joints are left out.
+    """
+    import mujoco
+
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.0
+    mujoco.mj_kinematics(model, data)
+    pos, rot = chain_frames(chain, np.zeros(chain.joints))
+    number = {name: k for k, name in enumerate(chain.joint_names)}
+    last, placed = {0: -1}, {0: np.eye(4)}
+    for body in range(1, model.nbody):
+        parent = int(model.body_parentid[body])
+        if parent not in last:
+            continue
+        mine = last[parent]
+        if model.body_jntnum[body]:
+            name = model.joint(int(model.body_jntadr[body])).name.rpartition("/")[2]
+            if name not in number:
+                continue
+            mine = number[name]
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
+        if mine >= 0:
+            base = np.eye(4)
+            base[:3, :3], base[:3, 3] = rot[mine], pos[mine]
+            T = np.linalg.inv(base) @ T
+        last[body], placed[body] = mine, T
+    return last, placed
+
+
+def _may_collide(model: mujoco.MjModel, owner: np.ndarray) -> np.ndarray:
+    """Pairs of spheres whose bodies the simulation lets collide, (K, K) bool.
+
+    MuJoCo leaves out bodies that are welded together, parent and child unless the parent stands
+    still, and excluded pairs. The world (fixtures) passes what stands still and the first link.
+    """
+    weld = model.body_weldid[owner]
+    allowed = weld[:, None] != weld
+    parent = model.body_weldid[model.body_parentid[weld]]
+    child_of = (parent[:, None] == weld) & (weld != 0)
+    allowed &= ~(child_of | child_of.T)
+    excluded = set()
+    for signature in model.exclude_signature:
+        excluded.add((int(signature) >> 16, int(signature) & 0xFFFF))
+    moved = model.body_jntnum > 0
+    world_children = np.flatnonzero(moved & (model.body_weldid[model.body_parentid] == 0))
+    excluded |= {(0, int(b)) for b in world_children}
+    for a, b in excluded:
+        pair = (owner[:, None] == a) & (owner == b)
+        allowed &= ~(pair | pair.T)
+    return allowed
+
+
+def _meeting_pairs(
+    chain: Chain, spheres: ArmSpheres, allowed: np.ndarray
+) -> Int[np.ndarray, "P 2"]:
+    a, b = np.triu_indices(len(spheres.radius), k=1)
+    keep = allowed[a, b] & (spheres.joint[a] != spheres.joint[b])
+    a, b = a[keep], b[keep]
+    share = np.random.default_rng(0).random((POSTURES, chain.joints))
+    q = chain.lower + share * (chain.upper - chain.lower)
+    met = np.zeros(len(a))
+    for block in np.array_split(q, 20):
+        centre = place_spheres(chain, spheres, block)
+        apart = np.linalg.norm(centre[:, a] - centre[:, b], axis=-1)
+        met += (apart < spheres.radius[a] + spheres.radius[b]).sum(axis=0)
+    rest = place_spheres(chain, spheres, chain.rest)
+    at_rest = np.linalg.norm(rest[a] - rest[b], axis=-1) < spheres.radius[a] + spheres.radius[b]
+    some = (met > 0) & (met < ALWAYS * POSTURES) | at_rest & (met < ALWAYS * POSTURES)
+    return np.stack([a[some], b[some]], axis=1).astype(np.int32)

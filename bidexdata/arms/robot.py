@@ -1,0 +1,145 @@
+"""Robot: a rig with the two hands of a run mounted on it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bidexdata.arms.arm_spheres import ArmSpheres, fit_arm_spheres
+from bidexdata.arms.assembly import arm_spec, top_body
+from bidexdata.arms.chain import Chain, read_chain
+from bidexdata.arms.registry import Rig
+from bidexdata.arms.source import ArmMjcf
+from bidexdata.arms.spec import MountSpec, PlaceSpec
+from bidexdata.errors import BadConfig, NotUsable
+from bidexdata.hands.model import Hand, Side
+from bidexdata.simulation.assembly import hand_prefix
+
+if TYPE_CHECKING:
+    import mujoco
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arm:
+    """One arm of a robot, with its hand."""
+
+    side: Side
+    model: ArmMjcf
+    """The arm alone."""
+    place: PlaceSpec
+    mount: MountSpec
+    chain: Chain
+    """From the world to the hand frame."""
+    spheres: ArmSpheres
+    carried: float
+    """Mass of hand and adapter [kg]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Robot:
+    """Two arms with their hands, left first."""
+
+    rig: Rig
+    hands: tuple[Hand, Hand]
+    arms: tuple[Arm, Arm]
+    digest: str
+    """sha256 over the rig and both hands."""
+
+    @property
+    def joints(self) -> int:
+        """Length of the axis of arm joints: of the longer chain."""
+        return max(arm.chain.joints for arm in self.arms)
+
+
+def mount_robot(rig: Rig, hands: Sequence[Hand]) -> Robot:
+    """Mount a left and a right hand on a rig; the same robot for the same rig and hands.
+
+    Raises:
+        NotUsable: There are not two hands, left and right.
+        BadConfig: The rig has no mount for a hand, or the mount does not fit it.
+    """
+    if [hand.side for hand in hands] != ["left", "right"]:
+        sides = ", ".join(hand.side for hand in hands) or "none"
+        raise NotUsable(f"a rig carries a left and a right hand, in this order, not: {sides}")
+    key = (rig.digest, *(hand.spec_hash for hand in hands))
+    return _mounted(key, _Given(rig, (hands[0], hands[1])))
+
+
+class _Given:
+    """Rig and hands, which the key beside them stands for: equal to any other."""
+
+    def __init__(self, rig: Rig, hands: tuple[Hand, Hand]) -> None:
+        self.rig, self.hands = rig, hands
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Given)
+
+    def __hash__(self) -> int:
+        return 0
+
+
+@lru_cache(maxsize=8)
+def _mounted(key: tuple[str, ...], given: _Given) -> Robot:
+    rig, hands = given.rig, given.hands
+    digest = hashlib.sha256(" ".join(key).encode()).hexdigest()
+    return Robot(rig, hands, (_arm(rig, hands[0], 0), _arm(rig, hands[1], 1)), digest)
+
+
+def _arm(rig: Rig, hand: Hand, index: int) -> Arm:
+    side = hand.side
+    arm, place, mount = rig.arm(side), rig.spec.place(side), rig.spec.mount(hand.name)
+    model = arm_spec(rig.spec, index, arm, hand, mount).compile()
+    rest = np.array([*place.rest, *mount.wrist_rest])
+    speeds = [joint.velocity for joint in arm.spec.joints.values()]
+    chain = read_chain(
+        model,
+        hand_prefix(index) + hand.root_body,
+        rest,
+        np.array([*speeds, *[mount.wrist_velocity] * len(mount.wrist_joints)]),
+        wrist=len(mount.wrist_joints),
+    )
+    _check_names(chain, arm, hand, mount)
+    bodies = _arm_bodies(model, index, hand)
+    carried = mount.mass + float(model.body_subtreemass[_top(model, index, hand, mount)])
+    return Arm(
+        side=side,
+        model=arm,
+        place=place,
+        mount=mount,
+        chain=chain,
+        spheres=fit_arm_spheres(model, chain, bodies, rig.spec.fixtures),
+        carried=carried,
+    )
+
+
+def _top(model: mujoco.MjModel, index: int, hand: Hand, mount: MountSpec) -> int:
+    return int(model.body(hand_prefix(index) + top_body(hand, mount)).id)
+
+
+def _arm_bodies(model: mujoco.MjModel, index: int, hand: Hand) -> list[str]:
+    """Bodies of the arm, and those of the hand's source above its root."""
+    names = [model.body(b).name for b in range(1, model.nbody)]
+    own = {hand_prefix(index) + name for name in hand.body_names}
+    return [n for n in names if n not in own and not n.endswith("/adapter")]
+
+
+def _check_names(chain: Chain, arm: ArmMjcf, hand: Hand, mount: MountSpec) -> None:
+    wanted = [*arm.spec.joints, *(hand.prefix + name for name in mount.wrist_joints)]
+    if list(chain.joint_names) != wanted:
+        raise BadConfig(
+            f"mounts: the joints between flange and hand are {', '.join(chain.joint_names)}, and "
+            f"the rig names {', '.join(wanted)}"
+        )
+    for name, angle, low, high in zip(
+        chain.joint_names, chain.rest, chain.lower, chain.upper, strict=True
+    ):
+        if not low <= angle <= high:
+            raise BadConfig(
+                f"mounts: wrist_rest of {name} = {angle:g} lies outside its limits "
+                f"[{low:g}, {high:g}] rad"
+            )
