@@ -1,4 +1,4 @@
-"""Spheres of an arm, the wrist and the forearm of its hand, and of the fixtures, for searching.
+"""Spheres of an arm and of the wrist and forearm of its hand, for searching.
 
 Spheres of the model stay as they are; capsules and cylinders become strings of spheres along their
 axes, meshes and boxes a greedy cover. MuJoCo has the final word on every path, so spheres need not
@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bidexdata.arms.chain import Chain, chain_frames
-from bidexdata.arms.spec import FixtureSpec
 from bidexdata.hands.geometry import Shape, body_shapes
 from bidexdata.hands.model import FloatArray
 from bidexdata.hands.spec import SphereFitSpec
@@ -28,6 +27,8 @@ POSTURES = 2000
 """Random postures that decide which spheres of one arm can meet."""
 ALWAYS = 0.95
 """Share of the postures from which on two spheres that overlap are neighbours by design [-]."""
+_NEAR = 0.02
+"""Gap in the nearest of those postures up to which two spheres count [m]: there are others."""
 _STEP = 1.0
 """Distance of the spheres of a string, in radii [-]."""
 _SWELL = 1.06
@@ -38,54 +39,43 @@ _MESH = SphereFitSpec(min_radius=0.02, max_radius=0.09, protrusion=0.006, slack=
 
 
 class ArmSpheres(NamedTuple):
-    """K spheres that the joints of a chain move, and those that stand still."""
+    """K spheres, those that the first joints move first."""
 
     joint: Int[np.ndarray, " K"]
-    """The last joint of the chain that moves each; -1 for the base and fixtures."""
+    """The last joint of the chain that moves each, rising; -1 for the base, which stands still."""
     pos: Float[np.ndarray, "K 3"]
     """Centres in that joint's frame, in the world for -1 [m]."""
     radius: Float[np.ndarray, " K"]
     """[m]."""
     part: tuple[str, ...]
-    """Body of each, for messages; `fixture` for those of the rig."""
+    """Body of each, for messages."""
     against_self: Int[np.ndarray, "P 2"]
-    """Pairs that may collide, that do in some posture, and that do not always overlap."""
+    """Pairs that may collide, that nearly do in some posture, and that do not always overlap."""
 
 
-def fit_arm_spheres(
-    model: mujoco.MjModel, chain: Chain, bodies: list[str], fixtures: tuple[FixtureSpec, ...]
-) -> ArmSpheres:
+def fit_arm_spheres(model: mujoco.MjModel, chain: Chain, bodies: list[str]) -> ArmSpheres:
     """Give the spheres of an arm.
 
     Args:
         model: One arm at its place with its hand.
         chain: Its chain.
         bodies: Names in the model of the bodies that move with the arm alone: arm, forearm, wrist.
-        fixtures: Boxes that stand still.
     """
     shapes = body_shapes(model)
-    first = [int(model.body(name).id) for name in bodies]
     joint, pos, radius, owner = [], [], [], []
     last, placed = _carriers(model, chain)
-    for body in first:
+    for body in sorted((int(model.body(name).id) for name in bodies), key=lambda b: (last[b], b)):
         centres, radii = shape_spheres(shapes[body - 1])
         T = placed[body]
         joint += [last[body]] * len(radii)
         pos.append(centres @ T[:3, :3].T + T[:3, 3])
         radius.append(radii)
         owner += [body] * len(radii)
-    for box in fixtures:
-        centres, radii = _string_in_box(np.array(box.pos), np.array(box.half))
-        joint += [-1] * len(radii)
-        pos.append(centres)
-        radius.append(radii)
-        owner += [0] * len(radii)
-    names = {b: model.body(b).name.rpartition("/")[2] for b in first} | {0: "fixture"}
     spheres = ArmSpheres(
         joint=np.array(joint, np.int32),
         pos=np.concatenate([np.zeros((0, 3)), *pos]),
         radius=np.concatenate([np.zeros(0), *radius]),
-        part=tuple(names[b] for b in owner),
+        part=tuple(model.body(b).name.rpartition("/")[2] for b in owner),
         against_self=np.zeros((0, 2), np.int32),
     )
     pairs = _meeting_pairs(chain, spheres, _may_collide(model, np.array(owner, int)))
@@ -128,16 +118,6 @@ def _string(shape: Shape) -> tuple[FloatArray, FloatArray]:
     return centres, np.full(count, _SWELL * radius)
 
 
-def _string_in_box(pos: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A string along the longest edge of an upright box."""
-    along = int(np.argmax(half))
-    radius = _SWELL * float(np.sort(half)[-2])
-    reach = max(float(half[along]) - 0.5 * radius, 0.0)
-    count = max(int(np.ceil(2 * reach / radius)) + 1, 1)
-    offset = np.linspace(-reach, reach, count) if count > 1 else np.zeros(1)
-    return pos + offset[:, None] * np.eye(3)[along], np.full(count, radius)
-
-
 def _carriers(
     model: mujoco.MjModel, chain: Chain
 ) -> tuple[dict[int, int], dict[int, FloatArray]]:
@@ -177,20 +157,16 @@ def _may_collide(model: mujoco.MjModel, owner: np.ndarray) -> np.ndarray:
     """Pairs of spheres whose bodies the simulation lets collide, (K, K) bool.
 
     MuJoCo leaves out bodies that are welded together, parent and child unless the parent stands
-    still, and excluded pairs. The world (fixtures) passes what stands still and the first link.
+    still, and excluded pairs.
     """
     weld = model.body_weldid[owner]
     allowed = weld[:, None] != weld
     parent = model.body_weldid[model.body_parentid[weld]]
     child_of = (parent[:, None] == weld) & (weld != 0)
     allowed &= ~(child_of | child_of.T)
-    excluded = set()
+    # An excluded pair is packed as (body1 << 16) + body2.
     for signature in model.exclude_signature:
-        excluded.add((int(signature) >> 16, int(signature) & 0xFFFF))
-    moved = model.body_jntnum > 0
-    world_children = np.flatnonzero(moved & (model.body_weldid[model.body_parentid] == 0))
-    excluded |= {(0, int(b)) for b in world_children}
-    for a, b in excluded:
+        a, b = int(signature) >> 16, int(signature) & 0xFFFF
         pair = (owner[:, None] == a) & (owner == b)
         allowed &= ~(pair | pair.T)
     return allowed
@@ -203,13 +179,15 @@ def _meeting_pairs(
     keep = allowed[a, b] & (spheres.joint[a] != spheres.joint[b])
     a, b = a[keep], b[keep]
     share = np.random.default_rng(0).random((POSTURES, chain.joints))
+    # Folded arms, with many joints at a limit, are where links meet.
+    share[::2] = np.clip(3 * share[::2] - 1, 0, 1)
     q = chain.lower + share * (chain.upper - chain.lower)
-    met = np.zeros(len(a))
+    met, near = np.zeros(len(a)), np.zeros(len(a), bool)
     for block in np.array_split(q, 20):
         centre = place_spheres(chain, spheres, block)
         apart = np.linalg.norm(centre[:, a] - centre[:, b], axis=-1)
-        met += (apart < spheres.radius[a] + spheres.radius[b]).sum(axis=0)
-    rest = place_spheres(chain, spheres, chain.rest)
-    at_rest = np.linalg.norm(rest[a] - rest[b], axis=-1) < spheres.radius[a] + spheres.radius[b]
-    some = (met > 0) & (met < ALWAYS * POSTURES) | at_rest & (met < ALWAYS * POSTURES)
+        gap = apart - spheres.radius[a] - spheres.radius[b]
+        met += (gap < 0).sum(axis=0)
+        near |= (gap < _NEAR).any(axis=0)
+    some = near & (met < ALWAYS * POSTURES)
     return np.stack([a[some], b[some]], axis=1).astype(np.int32)

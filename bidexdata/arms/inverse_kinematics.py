@@ -162,7 +162,7 @@ def solve_ik(
         return IkSolutions(
             np.zeros((0, s, chain.joints)), none, none, none > 0, none, none.astype(np.int32)
         )
-    arrays, rules = _on_device(chain, device), _rules(config)
+    arrays, rules = chain_on_device(chain, device), _rules(config)
     q = wp.empty((n, s, chain.joints), dtype=float, device=device)
     off, twist, ease = (wp.empty((n, s), dtype=float, device=device) for _ in range(3))
     used = wp.empty((n, s), dtype=int, device=device)
@@ -199,7 +199,7 @@ def solve_first(
         return FirstSolutions(
             np.zeros((0, chain.joints)), none, none, none > 0, none, whole, whole
         )
-    arrays, rules = _on_device(chain, device), _rules(config)
+    arrays, rules = chain_on_device(chain, device), _rules(config)
     q = wp.empty((n, chain.joints), dtype=float, device=device)
     off, twist, ease = (wp.empty(n, dtype=float, device=device) for _ in range(3))
     used, tried = (wp.empty(n, dtype=int, device=device) for _ in range(2))
@@ -249,6 +249,7 @@ def follow(
         return Followed(
             np.zeros((n, s, t, chain.joints)), none, none, none, np.zeros((n, s), np.int32)
         )
+    start_warp()
     out = wp.empty((n, s, t, chain.joints), dtype=float, device=device)
     off, twist, step = (wp.empty((n, s, t), dtype=float, device=device) for _ in range(3))
     reached = wp.empty((n, s), dtype=int, device=device)
@@ -259,7 +260,7 @@ def follow(
     wp.launch(
         follow_path,
         dim=(n, s),
-        inputs=[_on_device(chain, device), _rules(config), _floats(q, device), *where,
+        inputs=[chain_on_device(chain, device), _rules(config), _floats(q, device), *where,
                 out, off, twist, step, reached],
         device=device,
     )  # fmt: skip
@@ -274,7 +275,7 @@ def forward_on_device(
 
     from bidexdata.arms.chain_kernels import place_ends
 
-    arrays = _on_device(chain, device)
+    arrays = chain_on_device(chain, device)
     pos = wp.empty(len(q), dtype=wp.vec3, device=device)
     rot = wp.empty(len(q), dtype=wp.mat33, device=device)
     wp.launch(
@@ -284,7 +285,7 @@ def forward_on_device(
 
 
 @lru_cache(maxsize=16)
-def _on_device(chain: Chain, device: str) -> Any:
+def chain_on_device(chain: Chain, device: str) -> Any:
     """Copy a chain to a device, once."""
     start_warp()
     import warp as wp

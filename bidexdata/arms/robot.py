@@ -15,7 +15,7 @@ from bidexdata.arms.assembly import arm_spec, top_body
 from bidexdata.arms.chain import Chain, read_chain
 from bidexdata.arms.registry import Rig
 from bidexdata.arms.source import ArmMjcf
-from bidexdata.arms.spec import MountSpec, PlaceSpec
+from bidexdata.arms.spec import FixtureSpec, MountSpec, PlaceSpec
 from bidexdata.errors import BadConfig, NotUsable
 from bidexdata.hands.model import Hand, Side
 from bidexdata.simulation.assembly import hand_prefix
@@ -36,6 +36,8 @@ class Arm:
     chain: Chain
     """From the world to the hand frame."""
     spheres: ArmSpheres
+    fixtures: tuple[FixtureSpec, ...]
+    """What stands still beside the arms."""
     carried: float
     """Mass of hand and adapter [kg]."""
 
@@ -112,7 +114,8 @@ def _arm(rig: Rig, hand: Hand, index: int) -> Arm:
         place=place,
         mount=mount,
         chain=chain,
-        spheres=fit_arm_spheres(model, chain, bodies, rig.spec.fixtures),
+        spheres=fit_arm_spheres(model, chain, bodies),
+        fixtures=rig.spec.fixtures,
         carried=carried,
     )
 

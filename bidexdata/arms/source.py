@@ -107,6 +107,10 @@ def _arm_xml(
             )
         if set(pair) <= bodies and set(pair) not in excluded:
             spec.add_exclude(bodyname1=pair[0], bodyname2=pair[1])
+    first = next(body for body in spec.bodies if body.joints)
+    if first.parent.name != "world":
+        # MuJoCo filters parent and child, but not where the parent stands still.
+        spec.add_exclude(bodyname1=first.parent.name, bodyname2=first.name)
     spec.assets = dict(assets)
     spec.compile()
     return spec.to_xml()

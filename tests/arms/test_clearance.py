@@ -1,0 +1,150 @@
+"""Spheres against the geometry that they stand for, and clearance kernels against NumPy."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from bidexdata.arms.arm_spheres import TOLERANCE, place_spheres, shape_spheres
+from bidexdata.arms.assembly import arm_spec
+from bidexdata.arms.clearance import (
+    FAR,
+    Placed,
+    clearance_between,
+    clearances,
+    clearances_reference,
+)
+from bidexdata.frames import matrix_from_quat, random_quat
+from bidexdata.hands.geometry import body_shapes, surface_samples
+from bidexdata.objects.prepared import SignedDistanceGrid
+
+SINGLE = 2e-5  # float32 at a metre, through a grid
+
+
+def ball(radius: float = 0.3) -> SignedDistanceGrid:
+    """The signed distance of a ball, exact at the nodes."""
+    axis = np.linspace(-0.5, 0.5, 41)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
+    values = (np.linalg.norm(points, axis=-1) - radius).astype(np.float32)
+    return SignedDistanceGrid(values, np.full(3, -0.5), 0.025)
+
+
+def configurations(arm, rng, shape):
+    chain = arm.chain
+    return rng.uniform(chain.lower, chain.upper, (*shape, chain.joints))
+
+
+def placed(rng, count: int) -> Placed:
+    rot = matrix_from_quat(random_quat(rng, (count,)))
+    pos = rng.uniform(-0.3, 0.3, (count, 3)) + [0, 0, 0.3]
+    return Placed(ball(), rng.uniform(0.3, 0.8, count), pos, rot)
+
+
+def test_no_part_of_a_link_stands_farther_out_of_its_spheres_than_the_tolerance(robot):
+    for index, arm in enumerate(robot.arms):
+        hand = robot.hands[index]
+        model = arm_spec(robot.rig.spec, index, arm.model, hand, arm.mount).compile()
+        for body, shapes in enumerate(body_shapes(model), start=1):
+            name = model.body(body).name.rpartition("/")[2]
+            if name not in arm.spheres.part or not shapes:
+                continue
+            centre, radius = shape_spheres(shapes)
+            points = surface_samples(shapes, 0.01)[0]
+            apart = np.linalg.norm(points[:, None] - centre, axis=-1) - radius
+            assert apart.min(axis=1).max() < TOLERANCE, name
+
+
+def test_spheres_move_with_their_links(robot, rng):
+    arm = robot.arms[1]
+    model = arm_spec(robot.rig.spec, 1, arm.model, robot.hands[1], arm.mount).compile()
+    data = mujoco.MjData(model)
+    names = [model.joint(j).name.rpartition("/")[2] for j in range(model.njnt)]
+    bodies = {model.body(b).name.rpartition("/")[2]: b for b in range(model.nbody)}
+    home = place_spheres(arm.chain, arm.spheres, np.zeros(arm.chain.joints))
+    mujoco.mj_kinematics(model, data)
+    local = [
+        data.xmat[bodies[p]].reshape(3, 3).T @ (home[k] - data.xpos[bodies[p]])
+        for k, p in enumerate(arm.spheres.part)
+    ]
+    for q in configurations(arm, rng, (5,)):
+        data.qpos[[names.index(n) for n in arm.chain.joint_names]] = q
+        mujoco.mj_kinematics(model, data)
+        expected = [
+            data.xpos[bodies[p]] + data.xmat[bodies[p]].reshape(3, 3) @ local[k]
+            for k, p in enumerate(arm.spheres.part)
+        ]
+        found = place_spheres(arm.chain, arm.spheres, q)
+        np.testing.assert_allclose(found, np.array(expected), atol=1e-9)
+
+
+@pytest.mark.parametrize("shape", [(1,), (7, 3), (5, 2, 4), (0, 3)])
+def test_the_kernels_give_what_the_reference_gives(robot, rng, shape):
+    for arm in robot.arms:
+        q = configurations(arm, rng, shape)
+        around = placed(rng, shape[0])
+        found, expected = clearances(arm, q, around), clearances_reference(arm, q, around)
+        for name in found._fields:
+            np.testing.assert_allclose(
+                getattr(found, name), getattr(expected, name), atol=SINGLE, err_msg=name
+            )
+
+
+def test_without_an_object_it_is_far(made, rng):
+    q = configurations(made.arms[0], rng, (3,))
+    assert np.all(clearances(made.arms[0], q, None).obj == FAR)
+
+
+def test_between_two_arms_it_is_the_least_gap_of_two_spheres(robot, rng):
+    left, right = (configurations(arm, rng, (n,)) for arm, n in zip(robot.arms, (4, 3), strict=True))
+    pairs = np.array([[0, 0], [3, 2], [1, 2], [1, 0]], np.int32)
+    found = clearance_between(robot.arms, left, right, pairs)
+    centre = [
+        place_spheres(arm.chain, arm.spheres, q)
+        for arm, q in zip(robot.arms, (left, right), strict=True)
+    ]
+    radius = [arm.spheres.radius for arm in robot.arms]
+    for k, (a, b) in enumerate(pairs):
+        gaps = np.linalg.norm(centre[0][a][:, None] - centre[1][b], axis=-1)
+        expected = (gaps - radius[0][:, None] - radius[1]).min()
+        assert abs(found[k] - expected) < SINGLE
+
+
+def test_links_that_mujoco_sees_overlap_are_not_clear_by_spheres(robot, rng):
+    # The spheres' word is cheaper, not kinder: a self-collision deeper than what spheres leave
+    # uncovered is never called clear.
+    arm = robot.arms[0]
+    hand = robot.hands[0]
+    model = arm_spec(robot.rig.spec, 0, arm.model, hand, arm.mount).compile()
+    data = mujoco.MjData(model)
+    names = [model.joint(j).name.rpartition("/")[2] for j in range(model.njnt)]
+    own = np.array([model.body(b).name.rpartition("/")[2] in arm.spheres.part
+                    for b in range(model.nbody)])  # fmt: skip
+    # Many joints at their limits, where arms are folded.
+    share = np.clip(3 * rng.random((2000, arm.chain.joints)) - 1, 0, 1)
+    q = arm.chain.lower + share * (arm.chain.upper - arm.chain.lower)
+    gaps = clearances(arm, q, None).itself
+    seen = 0
+    for k in range(len(q)):
+        data.qpos[[names.index(n) for n in arm.chain.joint_names]] = q[k]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        bodies = model.geom_bodyid[data.contact.geom]
+        depth = -data.contact.dist[own[bodies].all(axis=1)]
+        if len(depth) and depth.max() > TOLERANCE:
+            seen += 1
+            assert gaps[k] < 0.0
+    assert seen > 0
+
+
+def test_a_lower_table_is_farther_by_as_much(made, rng):
+    arm = made.arms[0]
+    q = configurations(arm, rng, (6,))
+    raised = arm.chain.before_pos.copy()
+    raised[0, 2] += 0.1
+    from dataclasses import replace
+
+    higher = replace(arm, chain=replace(arm.chain, before_pos=raised))
+    np.testing.assert_allclose(
+        clearances(higher, q, None).table, clearances(arm, q, None).table + 0.1, atol=1e-5
+    )
