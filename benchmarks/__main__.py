@@ -9,7 +9,7 @@ from pathlib import Path
 from benchmarks.machine import describe_machine
 from benchmarks.report import RESULTS, report
 
-SCRIPTS = ("prepare", "regions", "synthesis", "validation", "real", "loader", "gpu")
+SCRIPTS = ("prepare", "regions", "synthesis", "validation", "arms", "real", "loader", "gpu")
 
 
 def main(names: list[str]) -> int:

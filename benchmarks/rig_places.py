@@ -35,9 +35,7 @@ def _moved(arm: Arm, pos: np.ndarray) -> Arm:
     still = arm.spheres.joint[:, None] < 0
     spheres = arm.spheres._replace(pos=arm.spheres.pos + np.where(still, shift, 0.0))
     # Without fixtures: those of another place would be in the way.
-    return replace(
-        arm, chain=replace(arm.chain, before_pos=before), spheres=spheres, fixtures=()
-    )
+    return replace(arm, chain=replace(arm.chain, before_pos=before), spheres=spheres, fixtures=())
 
 
 def main() -> None:

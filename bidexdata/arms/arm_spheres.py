@@ -118,9 +118,7 @@ def _string(shape: Shape) -> tuple[FloatArray, FloatArray]:
     return centres, np.full(count, _SWELL * radius)
 
 
-def _carriers(
-    model: mujoco.MjModel, chain: Chain
-) -> tuple[dict[int, int], dict[int, FloatArray]]:
+def _carriers(model: mujoco.MjModel, chain: Chain) -> tuple[dict[int, int], dict[int, FloatArray]]:
     """For each body the last joint of the chain that moves it, and its pose in that joint's frame.
 
     Poses of bodies that stand still are in the world. Bodies behind other joints are left out.

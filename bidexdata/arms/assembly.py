@@ -60,7 +60,9 @@ def mounted_hand(hand: Hand, mount: MountSpec) -> mujoco.MjSpec:
 
 def T_flange_top(hand: Hand, mount: MountSpec) -> FloatArray:
     """Frame of the hand's body on the flange, in the flange's frame, (4, 4)."""
-    T = transform(np.array(mount.pos), np.asarray(mount.quat_wxyz) / np.linalg.norm(mount.quat_wxyz))
+    T = transform(
+        np.array(mount.pos), np.asarray(mount.quat_wxyz) / np.linalg.norm(mount.quat_wxyz)
+    )
     return T if mount.top is not None else T @ invert(hand.T_hand_palm)
 
 

@@ -23,8 +23,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """A serial chain of A hinges. Frame of a joint: that of the body it moves, with the origin on
-    the joint's axis."""
+    """A serial chain of A hinges.
+
+    The frame of a joint is that of the body that it moves, with the origin on the joint's axis.
+    """
 
     joint_names: tuple[str, ...]
     """Arm joints, then wrist joints, (A,)."""
@@ -158,9 +160,7 @@ def chain_jacobian(chain: Chain, q: Float[np.ndarray, "*b A"]) -> Float[np.ndarr
     return np.swapaxes(np.concatenate([linear, axis], axis=-1), -1, -2)
 
 
-def _walk(
-    model: mujoco.MjModel, body: int
-) -> tuple[list[int], list[FloatArray], FloatArray]:
+def _walk(model: mujoco.MjModel, body: int) -> tuple[list[int], list[FloatArray], FloatArray]:
     """Joints from the world to a body, the fixed transforms before each, and that behind the last."""
     import mujoco
 

@@ -62,7 +62,7 @@ def so3_log(R: wp.mat33) -> wp.vec3:
         elif R[2, 2] > R[0, 0] and R[2, 2] > R[1, 1]:
             column = wp.vec3(0.5 * (R[0, 2] + R[2, 0]), 0.5 * (R[1, 2] + R[2, 1]), 1.0 + R[2, 2])
         # (R + R^T) / 2 = cos I + (1 - cos) n n^T, so the diagonal carries 1 + cos too much.
-        i = int(0)
+        i = wp.int32(0)
         if R[1, 1] > R[0, 0] and R[1, 1] >= R[2, 2]:
             i = 1
         elif R[2, 2] > R[0, 0] and R[2, 2] > R[1, 1]:

@@ -38,10 +38,10 @@ class Placed(NamedTuple):
 class Clearances(NamedTuple):
     """Least distances of one arm [m]; negative where spheres overlap."""
 
-    table: Float[np.ndarray, "N *c"]
-    obj: Float[np.ndarray, "N *c"]
+    table: Float[np.ndarray, "*n"]
+    obj: Float[np.ndarray, "*n"]
     """`FAR` without an object."""
-    itself: Float[np.ndarray, "N *c"]
+    itself: Float[np.ndarray, "*n"]
     """Links against each other and against the rig's fixtures."""
 
 
@@ -154,7 +154,7 @@ def _centres(arm: Arm, q: np.ndarray, device: str) -> Any:
     from bidexdata.arms.clearance_kernels import place_arm_spheres
 
     flat = np.ascontiguousarray(q.reshape(-1, arm.chain.joints), np.float32)
-    centre = wp.empty((len(flat), len(arm.spheres.radius)), dtype=wp.vec3, device=device)
+    centre = wp.zeros((len(flat), len(arm.spheres.radius)), dtype=wp.vec3, device=device)
     wp.launch(
         place_arm_spheres,
         dim=len(flat),
@@ -174,7 +174,9 @@ def _object_on_device(placed: Placed | None, rows: int, device: str) -> list[Any
 
     if placed is None:
         nothing = SignedDistanceGrid(np.zeros((2, 2, 2), np.float32), np.zeros(3), 1.0)
-        placed = Placed(nothing, np.ones(rows), np.zeros((rows, 3)), np.tile(np.eye(3), (rows, 1, 1)))
+        placed = Placed(
+            nothing, np.ones(rows), np.zeros((rows, 3)), np.tile(np.eye(3), (rows, 1, 1))
+        )
         present = 0
     else:
         present = 1

@@ -1,5 +1,4 @@
-"""Warp kernels of clearance: the spheres of arms against table, object, fixtures, themselves and
-each other.
+"""Warp kernels of clearance: spheres of arms against all around them and against each other.
 
 One thread per configuration. Everything is in the world frame [m]; clearances are negative where
 spheres overlap.
@@ -43,7 +42,7 @@ def place_arm_spheres(
     m = wp.tid()
     at = wp.vec3(0.0, 0.0, 0.0)
     turn = wp.identity(n=3, dtype=float)
-    k = int(0)
+    k = wp.int32(0)
     count = spheres.radius.shape[0]
     while k < count and spheres.joint[k] < 0:
         centre_out[m, k] = spheres.pos[k]

@@ -142,7 +142,7 @@ def _palm(normal: FloatArray, fingers: FloatArray, rng: np.random.Generator) -> 
     x = x / np.linalg.norm(x)
     angle = rng.uniform(-JITTER, JITTER)
     x = np.cos(angle) * x + np.sin(angle) * np.cross(z, x)
-    return np.stack([x, np.cross(z, x), z], axis=1)
+    return np.stack([x, np.cross(z, x), z], axis=1).astype(np.float64)
 
 
 def _surface(

@@ -54,9 +54,7 @@ class Linear:
 
 
 @wp.func
-def linearise(
-    chain: ChainArrays, length: float, q: Angles, pos: wp.vec3, rot: wp.mat33
-) -> Linear:
+def linearise(chain: ChainArrays, length: float, q: Angles, pos: wp.vec3, rot: wp.mat33) -> Linear:
     """Error of posture q against a target, and the columns of the Jacobian."""
     out = Linear()
     at = wp.vec3(0.0, 0.0, 0.0)
@@ -121,7 +119,7 @@ def damped_step(
             for i in range(6):
                 for k in range(i + 1):
                     A[i, k] = A[i, k] + c[i] * c[k]
-    x, root = solve_square(A, damping, wanted)
+    x, _root = solve_square(A, damping, wanted)
     most = float(0.0)
     for j in range(chain.count):
         step[j] = step[j] + active[j] * wp.dot(column_of(slope, j), x)
@@ -145,7 +143,7 @@ def descend(
     slope = linearise(chain, rules.length, q, pos, rot)
     size = wp.length(slope.error)
     damping = rules.damping
-    used = int(0)
+    used = wp.int32(0)
     for step_number in range(rules.iterations):
         off = wp.length(wp.vec3(slope.error[0], slope.error[1], slope.error[2]))
         twist = wp.length(wp.vec3(slope.error[3], slope.error[4], slope.error[5])) / rules.length
@@ -183,7 +181,7 @@ def dexterity(chain: ChainArrays, length: float, q: Angles) -> float:
         for i in range(6):
             for k in range(i + 1):
                 A[i, k] = A[i, k] + c[i] * c[k]
-    x, root = solve_square(A, 0.0, Six())
+    _x, root = solve_square(A, 0.0, Six())
     return root
 
 
@@ -204,7 +202,7 @@ def pick_starts(
     """Pick the postures whose hands are nearest to each target, nearest first."""
     n = wp.tid()
     most = pick_out.shape[1]
-    have = int(0)
+    have = wp.int32(0)
     for p in range(end_pos_in.shape[0]):
         turned = rot_in[n] - end_rot_in[p]
         gap = wp.length_sq(pos_in[n] - end_pos_in[p])
@@ -275,8 +273,8 @@ def solve_until_first(
     best_off = float(1.0e9)
     best_twist = float(1.0e9)
     least = float(1.0e9)
-    total = int(0)
-    tried = int(0)
+    total = wp.int32(0)
+    tried = wp.int32(0)
     for s in range(pick_in.shape[1]):
         start = Angles()
         for j in range(chain.count):
@@ -325,11 +323,11 @@ def follow_path(
     q = Angles()
     for j in range(chain.count):
         q[j] = start_in[n, s, j]
-    reached = int(0)
-    going = int(1)
+    reached = wp.int32(0)
+    going = wp.int32(1)
     for t in range(pos_in.shape[1]):
         if going == 1:
-            there, off, twist, used = descend(chain, rules, q, pos_in[n, t], rot_in[n, t], 0.0)
+            there, off, twist, _used = descend(chain, rules, q, pos_in[n, t], rot_in[n, t], 0.0)
             most = float(0.0)
             for j in range(chain.count):
                 most = wp.max(most, wp.abs(there[j] - q[j]))

@@ -196,9 +196,7 @@ def solve_first(
     if n == 0:
         none = np.zeros(0)
         whole = none.astype(np.int32)
-        return FirstSolutions(
-            np.zeros((0, chain.joints)), none, none, none > 0, none, whole, whole
-        )
+        return FirstSolutions(np.zeros((0, chain.joints)), none, none, none > 0, none, whole, whole)
     arrays, rules = chain_on_device(chain, device), _rules(config)
     q = wp.empty((n, chain.joints), dtype=float, device=device)
     off, twist, ease = (wp.empty(n, dtype=float, device=device) for _ in range(3))
@@ -255,7 +253,9 @@ def follow(
     reached = wp.empty((n, s), dtype=int, device=device)
     where = [
         wp.array(np.ascontiguousarray(pos, np.float32), dtype=wp.vec3, shape=(n, t), device=device),
-        wp.array(np.ascontiguousarray(rot, np.float32), dtype=wp.mat33, shape=(n, t), device=device),
+        wp.array(
+            np.ascontiguousarray(rot, np.float32), dtype=wp.mat33, shape=(n, t), device=device
+        ),
     ]
     wp.launch(
         follow_path,
@@ -276,11 +276,9 @@ def forward_on_device(
     from bidexdata.arms.chain_kernels import place_ends
 
     arrays = chain_on_device(chain, device)
-    pos = wp.empty(len(q), dtype=wp.vec3, device=device)
-    rot = wp.empty(len(q), dtype=wp.mat33, device=device)
-    wp.launch(
-        place_ends, dim=len(q), inputs=[arrays, _floats(q, device), pos, rot], device=device
-    )
+    pos = wp.zeros(len(q), dtype=wp.vec3, device=device)
+    rot = wp.zeros(len(q), dtype=wp.mat33, device=device)
+    wp.launch(place_ends, dim=len(q), inputs=[arrays, _floats(q, device), pos, rot], device=device)
     return _numbers(pos), _numbers(rot)
 
 

@@ -106,9 +106,7 @@ def report_pairs(count: int = PAIRS) -> GenericPairs:
     return join_pairs([draw_pairs(size, count, rng) for size in SIZES])
 
 
-def _try_side(
-    robot: Robot, h: int, pairs: GenericPairs, config: IkConfig, device: str
-) -> _Side:
+def _try_side(robot: Robot, h: int, pairs: GenericPairs, config: IkConfig, device: str) -> _Side:
     arm, hand = robot.arms[h], robot.hands[h]
     T_palm_hand = invert(hand.T_hand_palm)
     rot = pairs.palm_rot[:, h] @ T_palm_hand[:3, :3]
@@ -179,7 +177,8 @@ def _choose(
         ],
         np.int32,
     ).reshape(-1, 2)
-    gaps = clearance_between(robot.arms, *configurations, pairs, device=device)
+    left, right = configurations
+    gaps = clearance_between(robot.arms, left, right, pairs, device=device)
     apart = gaps.reshape(len(rows), len(combos), 2).min(axis=2) > 0
     found: list[tuple[int, int] | None] = []
     for n in number:

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bidexdata.arms.arm_spheres import ArmSpheres, fit_arm_spheres
-from bidexdata.arms.assembly import arm_spec, top_body
+from bidexdata.arms.assembly import add_arm, add_fixtures, arm_spec, top_body
 from bidexdata.arms.chain import Chain, read_chain
 from bidexdata.arms.registry import Rig
 from bidexdata.arms.source import ArmMjcf
 from bidexdata.arms.spec import FixtureSpec, MountSpec, PlaceSpec
 from bidexdata.errors import BadConfig, NotUsable
 from bidexdata.hands.model import Hand, Side
-from bidexdata.simulation.assembly import hand_prefix
+from bidexdata.simulation.assembly import TABLE_GEOM, hand_prefix
 
 if TYPE_CHECKING:
     import mujoco
@@ -70,6 +70,22 @@ def mount_robot(rig: Rig, hands: Sequence[Hand]) -> Robot:
         raise NotUsable(f"a rig carries a left and a right hand, in this order, not: {sides}")
     key = (rig.digest, *(hand.spec_hash for hand in hands))
     return _mounted(key, _Given(rig, (hands[0], hands[1])))
+
+
+def robot_spec(robot: Robot, *, table: bool = True) -> mujoco.MjSpec:
+    """Both arms with their hands, the fixtures and the table, without options of a protocol."""
+    import mujoco
+
+    spec = mujoco.MjSpec()
+    spec.modelname = robot.rig.spec.name
+    for index, (arm, hand) in enumerate(zip(robot.arms, robot.hands, strict=True)):
+        add_arm(spec, index, arm.model, arm.place, hand, arm.mount)
+    add_fixtures(spec, robot.rig.spec)
+    if table:
+        spec.worldbody.add_geom(
+            name=TABLE_GEOM, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0]
+        )
+    return spec
 
 
 class _Given:

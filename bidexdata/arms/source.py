@@ -10,9 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from bidexdata.arms.spec import ArmSpec, RigSpec
+import numpy as np
+
+from bidexdata.arms.spec import ArmSpec, JointSpec, RigSpec
 from bidexdata.errors import BadConfig
 from bidexdata.hands.mjcf_files import (
     licence_beside,
@@ -25,6 +27,10 @@ from bidexdata.wording import one_line
 
 if TYPE_CHECKING:
     import mujoco
+
+
+_ROUNDED = 1e-3
+"""By how much limits of rig and model may differ as they are rounded [rad, -]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,8 +95,10 @@ def _arm_xml(
     without_pictures(spec)
     _check_joints(spec, arm, key)
     servos = {actuator.target: actuator for actuator in spec.actuators}
+    limits = _model_limits(spec, assets)
     for joint in spec.joints:
         said = arm.joints[joint.name]
+        _check_limits(joint, said, limits.get(joint.name), key)
         joint.range, joint.limited = [said.lower, said.upper], True
         servo = servos.get(joint.name)
         if servo is None:
@@ -116,6 +124,43 @@ def _arm_xml(
     return spec.to_xml()
 
 
+class _Limits(NamedTuple):
+    """What the model says of a joint; infinite where it says nothing."""
+
+    lower: float
+    upper: float
+    torque: float
+
+
+def _model_limits(spec: mujoco.MjSpec, assets: Mapping[str, bytes]) -> dict[str, _Limits]:
+    """Ranges and torque limits of the source, by the name of the joint."""
+    spec.assets = dict(assets)
+    model = spec.compile()
+    torque = {}
+    for u in range(model.nu):
+        if model.actuator_forcelimited[u]:
+            torque[int(model.actuator_trnid[u, 0])] = float(model.actuator_forcerange[u].max())
+    found = {}
+    for j in range(model.njnt):
+        low, high = model.jnt_range[j] if model.jnt_limited[j] else (-np.inf, np.inf)
+        found[model.joint(j).name] = _Limits(float(low), float(high), torque.get(j, np.inf))
+    return found
+
+
+def _check_limits(joint: mujoco.MjsJoint, said: JointSpec, model: _Limits | None, key: str) -> None:
+    assert model is not None
+    if said.lower < model.lower - _ROUNDED or said.upper > model.upper + _ROUNDED:
+        raise BadConfig(
+            f"{key}.joints.{joint.name}: the range [{said.lower:g}, {said.upper:g}] rad leaves the "
+            f"model's, [{model.lower:g}, {model.upper:g}]"
+        )
+    if said.torque > model.torque * (1 + _ROUNDED):
+        raise BadConfig(
+            f"{key}.joints.{joint.name}: a torque of {said.torque:g} N m is more than the model's "
+            f"limit of {model.torque:g}"
+        )
+
+
 def _check_joints(spec: mujoco.MjSpec, arm: ArmSpec, key: str) -> None:
     import mujoco
 
@@ -127,7 +172,9 @@ def _check_joints(spec: mujoco.MjSpec, arm: ArmSpec, key: str) -> None:
         )
     for joint in spec.joints:
         if joint.type != mujoco.mjtJoint.mjJNT_HINGE:
-            raise BadConfig(f"{key}: joint {joint.name!r} of the model is no hinge; arms need those")
+            raise BadConfig(
+                f"{key}: joint {joint.name!r} of the model is no hinge; arms need those"
+            )
     if not any(arm.flange in (s.name for s in items) for items in (spec.sites, spec.bodies)):
         sites = ", ".join(s.name for s in spec.sites) or "none"
         raise BadConfig(

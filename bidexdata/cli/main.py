@@ -31,8 +31,7 @@ from bidexdata.cli.pack import pack
 from bidexdata.cli.prepare import prepare
 from bidexdata.cli.publish import publish
 from bidexdata.cli.render import render
-from bidexdata.cli.split import split
-from bidexdata.cli.subset import subset
+from bidexdata.cli.rigs import rigs
 from bidexdata.cli.synth import synth
 from bidexdata.cli.table import table
 from bidexdata.cli.validate import validate
@@ -66,6 +65,7 @@ COMMANDS = {
     "subset": subset,
     "publish": publish,
     "hands": hands,
+    "rigs": rigs,
     "protocols": protocols,
     "presets": presets,
     "bench": bench,

@@ -14,7 +14,9 @@ def chain_urdf(chain: Chain) -> str:
     for j, name in enumerate(chain.joint_names):
         links.append(f"link{j}")
         axis = f'<axis xyz="{_text(chain.axis[j])}"/>'
-        limit = f'<limit lower="{chain.lower[j]}" upper="{chain.upper[j]}" effort="1" velocity="1"/>'
+        limit = (
+            f'<limit lower="{chain.lower[j]}" upper="{chain.upper[j]}" effort="1" velocity="1"/>'
+        )
         place = _origin(chain.before_pos[j], chain.before_rot[j])
         joints.append(_joint(name, "revolute", links[-2], links[-1], place + axis + limit))
     links.append("end")

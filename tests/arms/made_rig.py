@@ -101,7 +101,7 @@ def rig_data() -> dict:
             "quat_wxyz": [turn, 0, 0, turn],
             "rest": [0.0, 0.5, 0.9, -1.5, -0.7, 1.5, -1.4],
         },
-        "mounts": {"*": {"pos": [0, 0, 0.09], "quat_wxyz": [0, turn, 0, turn]}},
+        "mounts": {"*": {"pos": [0.05, 0, 0.12], "quat_wxyz": [0, turn, 0, turn]}},
         "fixtures": [
             {"pos": [0, 0.75, 0.05], "half": [0.1, 0.1, 0.15]},
             {"pos": [0, -0.75, 0.05], "half": [0.1, 0.1, 0.15]},

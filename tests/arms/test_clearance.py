@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -37,7 +39,7 @@ def configurations(arm, rng, shape):
 
 def placed(rng, count: int) -> Placed:
     rot = matrix_from_quat(random_quat(rng, (count,)))
-    pos = rng.uniform(-0.3, 0.3, (count, 3)) + [0, 0, 0.3]
+    pos = rng.uniform(-0.3, 0.3, (count, 3)) + np.array([0, 0, 0.3])
     return Placed(ball(), rng.uniform(0.3, 0.8, count), pos, rot)
 
 
@@ -96,7 +98,9 @@ def test_without_an_object_it_is_far(made, rng):
 
 
 def test_between_two_arms_it_is_the_least_gap_of_two_spheres(robot, rng):
-    left, right = (configurations(arm, rng, (n,)) for arm, n in zip(robot.arms, (4, 3), strict=True))
+    left, right = (
+        configurations(arm, rng, (n,)) for arm, n in zip(robot.arms, (4, 3), strict=True)
+    )
     pairs = np.array([[0, 0], [3, 2], [1, 2], [1, 0]], np.int32)
     found = clearance_between(robot.arms, left, right, pairs)
     centre = [
@@ -142,8 +146,6 @@ def test_a_lower_table_is_farther_by_as_much(made, rng):
     q = configurations(arm, rng, (6,))
     raised = arm.chain.before_pos.copy()
     raised[0, 2] += 0.1
-    from dataclasses import replace
-
     higher = replace(arm, chain=replace(arm.chain, before_pos=raised))
     np.testing.assert_allclose(
         clearances(higher, q, None).table, clearances(arm, q, None).table + 0.1, atol=1e-5

@@ -100,7 +100,9 @@ def test_the_logarithm_of_the_kernels_is_that_of_the_frames(rng):
     from bidexdata.arms.chain_kernels import take_logarithms
 
     near = [0.0, 1e-9, 1e-6, 1e-4, 1e-3, 0.1, 1.0, 3.0, np.pi - 1e-2, np.pi - 1e-4, np.pi]
-    axes = np.concatenate([rng.normal(size=(20, 3)), np.eye(3), -np.eye(3), [[1, 1, 0], [1, -1, 0]]])
+    axes = np.concatenate(
+        [rng.normal(size=(20, 3)), np.eye(3), -np.eye(3), [[1, 1, 0], [1, -1, 0]]]
+    )
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     vectors = (axes[:, None] * np.array(near)[:, None]).reshape(-1, 3)
     rot = np.concatenate([matrix_from_quat(quat_from_rotation_vector(vectors)), edge_turns()])
@@ -132,7 +134,7 @@ def test_poses_at_the_limits_are_solved(robot):
 def test_a_target_2_m_away_is_refused_with_finite_numbers(robot):
     for arm in robot.arms:
         pos, rot = chain_forward(arm.chain, arm.chain.rest)
-        far = (pos + [2.0, 0, 0])[None]
+        far = (pos + np.array([2.0, 0, 0]))[None]
         found = solve_ik(arm.chain, far, rot[None], CONFIG)
         assert not found.ok.any()
         assert all(np.isfinite(np.asarray(x)).all() for x in found)
@@ -216,7 +218,9 @@ def test_following_reaches_every_waypoint_without_a_jump_near_a_good_posture(rob
         chain = arm.chain
         pos, rot = chain_forward(chain, chain.rest)
         lift = pos + np.linspace(0, 0.1, 6)[1:, None] * [0, 0, 1.0]
-        paths = follow(chain, chain.rest[None, None], lift[None], np.tile(rot, (1, 5, 1, 1)), CONFIG)
+        paths = follow(
+            chain, chain.rest[None, None], lift[None], np.tile(rot, (1, 5, 1, 1)), CONFIG
+        )
         assert paths.reached[0, 0] == 5
         assert paths.step.max() < CONFIG.jump
         off, angle = true_errors(chain, paths.q[0, 0], lift, np.tile(rot, (5, 1, 1)))
@@ -267,7 +271,9 @@ def test_mink_solves_what_we_solve(robot, rng):
         shaken = ours.q[k] + rng.normal(size=chain.joints) * 0.05
         q[address] = np.clip(shaken, chain.lower, chain.upper)
         configuration.update(q)
-        task = mink.FrameTask(root, "body", position_cost=1.0, orientation_cost=0.3, lm_damping=1e-6)
+        task = mink.FrameTask(
+            root, "body", position_cost=1.0, orientation_cost=0.3, lm_damping=1e-6
+        )
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = rot[k], pos[k]
         task.set_target(mink.SE3.from_matrix(T))
