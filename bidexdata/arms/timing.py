@@ -1,0 +1,42 @@
+"""When two arms pass the knots of their paths: no joint faster than its share of what it can."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+
+def knot_times(
+    paths: Sequence[Float[np.ndarray, "W _"]],
+    velocities: Sequence[Float[np.ndarray, " _"]],
+    knots: Sequence[int],
+    least: Sequence[float],
+    share: float,
+) -> Float[np.ndarray, " W"]:
+    """Give every knot its time, the same for all arms; knots of one phase are evenly spaced.
+
+    Args:
+        paths: Joint paths of the arms [rad], W = 1 + sum(knots).
+        velocities: Largest speeds of their joints [rad/s].
+        knots: Knots of each phase, without the one before it.
+        least: Least time of each phase [s].
+        share: Share of the largest speed that is used [-].
+
+    Returns:
+        Times since the first knot [s].
+    """
+    need = np.max(
+        [
+            np.max(np.abs(np.diff(path, axis=0)) / (share * speed), axis=1)
+            for path, speed in zip(paths, velocities, strict=True)
+        ],
+        axis=0,
+    )
+    steps, first = [], 0
+    for count, shortest in zip(knots, least, strict=True):
+        slowest = float(np.max(need[first : first + count], initial=0.0))
+        steps += [max(slowest, shortest / count)] * count
+        first += count
+    return np.concatenate([[0.0], np.cumsum(steps)])
