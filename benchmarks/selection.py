@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from bidexdata import Run
 from bidexdata.config import with_overrides
 from bidexdata.loaders.poses import poses_in_object_frame
+from bidexdata.objects.distance_field import device_field
 from bidexdata.record import GraspBatch, Status
 from bidexdata.simulation.distances import pregrasp_penetration
-from bidexdata.synthesis.distance_field import device_field
 from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.selection import LEAST_RESIDUAL, LEAST_TURN, doubts
 from bidexdata.synthesis.settling import Settled, SettlingConfig, settled

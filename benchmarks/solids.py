@@ -19,13 +19,13 @@ import numpy as np
 from bidexdata import Library
 from bidexdata.frames import matrix_from_quat, random_quat
 from bidexdata.objects.config import RestConfig, SurfaceConfig
+from bidexdata.objects.distance_field import signed_distance
 from bidexdata.objects.drops import Body, drop, spread_directions
 from bidexdata.objects.prepared import PreparedObject
 from bidexdata.objects.rest import carrying_facets, rest_poses
 from bidexdata.objects.sdf import exact_distances
 from bidexdata.objects.surface import sample_surface, surface_points
 from bidexdata.objects.traits import descriptor, unlikeness
-from bidexdata.synthesis.distance_field import signed_distance
 
 NEAR = 0.03
 """Of the diagonal."""

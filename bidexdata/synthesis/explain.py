@@ -16,9 +16,9 @@ from jaxtyping import Float, Int
 
 from bidexdata.hands.contact_sets import contact_view
 from bidexdata.hands.kinematics import hand_points
+from bidexdata.objects.distance_field import signed_distance
 from bidexdata.record import GraspBatch, Scene, Status
 from bidexdata.synthesis.attempts import Attempts, draw_attempts
-from bidexdata.synthesis.distance_field import signed_distance
 from bidexdata.synthesis.methods import search_bilevel
 from bidexdata.synthesis.pipeline import grasp_attempts, outcome
 from bidexdata.synthesis.pose import Pose

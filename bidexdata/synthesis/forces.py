@@ -87,8 +87,8 @@ def shifted_residual(
     """
     import warp as wp
 
+    from bidexdata.objects.distance_field_kernels import closest_surface
     from bidexdata.synthesis.contact_kernels import shifted_centres
-    from bidexdata.synthesis.distance_field_kernels import closest_surface
 
     c, device = ws.contacts, ws.device
     rows = (ws.count * sets, c.points.shape[1])

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from bidexdata.hands.contact_sets import ContactSet, contact_view, set_numbers
+from bidexdata.objects.distance_field import device_field
 from bidexdata.record import GraspBatch, Scene, Status
 from bidexdata.synthesis.attempts import Attempts, rows_per_scene
 from bidexdata.synthesis.config import SynthConfig
-from bidexdata.synthesis.distance_field import device_field
 from bidexdata.synthesis.forces import (
     ContactForces,
     base_give,

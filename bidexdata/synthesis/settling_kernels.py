@@ -10,7 +10,7 @@ forces are in units of a spring's stiffness, so they are lengths [m]. The float6
 
 import warp as wp
 
-from bidexdata.synthesis.distance_field_kernels import DistanceField, signed_distance
+from bidexdata.objects.distance_field_kernels import DistanceField, signed_distance
 
 wp.set_module_options({"enable_backward": False})
 

@@ -6,7 +6,7 @@ order and the bytes repeat. The float64 reference is in `energies.py`.
 
 import warp as wp
 
-from bidexdata.synthesis.distance_field_kernels import DistanceField, signed_distance
+from bidexdata.objects.distance_field_kernels import DistanceField, signed_distance
 
 wp.set_module_options({"enable_backward": False})
 

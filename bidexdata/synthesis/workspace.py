@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 
 from bidexdata.devices import start_warp
 from bidexdata.hands.device import DeviceHand, HandState, device_hand, free_limits
-from bidexdata.synthesis.distance_field import device_field
+from bidexdata.objects.distance_field import device_field
 
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand

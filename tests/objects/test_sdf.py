@@ -14,11 +14,11 @@ from standing import tilts_after
 from bidexdata.objects.assemble import unit_solid
 from bidexdata.objects.closed import as_mesh, convex_hull
 from bidexdata.objects.config import PrepareConfig, SdfConfig
+from bidexdata.objects.distance_field import signed_distance
 from bidexdata.objects.mesh_queries import distances, winding_distances
 from bidexdata.objects.prepare import prepare_object
 from bidexdata.objects.sdf import cover, exact_distances, grid_warnings, signed_distance_grid
 from bidexdata.objects.surface import sample_surface
-from bidexdata.synthesis.distance_field import signed_distance
 
 CONFIG = SdfConfig(cells=40)
 FLOAT32 = 5e-5  # kernels work in float32, and slivers of a union cost two more digits

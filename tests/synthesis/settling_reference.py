@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bidexdata.frames import matrix_from_quat, quat_from_rotation_vector
-from bidexdata.synthesis.distance_field import signed_distance
+from bidexdata.objects.distance_field import signed_distance
 
 # What `settling_kernels` says of each.
 TOUCH, HELD, HELD_ARM = 2e-4, 0.1, 0.01

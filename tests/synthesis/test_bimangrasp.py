@@ -8,12 +8,12 @@ from bidexdata.config import with_overrides
 from bidexdata.errors import BadConfig
 from bidexdata.frames import matrix_from_quat
 from bidexdata.hands import load_hands
+from bidexdata.objects.distance_field import signed_distance, surface_normal
 from bidexdata.record import Scene
 from bidexdata.synthesis.baselines import annealing, bimangrasp, bimangrasp_starts
 from bidexdata.synthesis.baselines import bimangrasp_energies as energies
 from bidexdata.synthesis.baselines.bimangrasp_config import BimanGraspConfig
 from bidexdata.synthesis.baselines.candidates import contact_candidates
-from bidexdata.synthesis.distance_field import signed_distance, surface_normal
 from bidexdata.synthesis.forces import BaseGive
 from bidexdata.synthesis.opening import LEAST_CLOSING, closing_joints
 from bidexdata.synthesis.optimise import read_pose

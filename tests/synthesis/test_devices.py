@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from bidexdata.hands import load_hands
+from bidexdata.objects.distance_field import signed_distance
 from bidexdata.objects.prepare import prepare_object
 from bidexdata.record import Scene, Status
-from bidexdata.synthesis.distance_field import signed_distance
 from bidexdata.synthesis.pipeline import synthesize
 from bidexdata.synthesis.regions import RegionConfig, select_region_pairs
 from bidexdata.synthesis.regions_build import build_regions

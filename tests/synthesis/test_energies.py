@@ -8,9 +8,9 @@ import pytest
 from bidexdata.hands import load_hands
 from bidexdata.hands.device import device_hand
 from bidexdata.hands.kinematics import hand_points
+from bidexdata.objects.distance_field import device_field, signed_distance, surface_normal
 from bidexdata.objects.prepared import SignedDistanceGrid
 from bidexdata.synthesis import energies
-from bidexdata.synthesis.distance_field import device_field, signed_distance, surface_normal
 
 wp = pytest.importorskip("warp")
 
@@ -211,7 +211,7 @@ def test_pair_gradient_is_the_central_difference():
 
 @pytest.mark.parametrize("count", [1, 7])
 def test_field_kernels_equal_the_reference(count):
-    from bidexdata.synthesis import distance_field_kernels as k
+    from bidexdata.objects import distance_field_kernels as k
 
     grid = ball_grid()
     size = rng.uniform(0.3, 0.8, count)
@@ -245,7 +245,7 @@ def test_the_distance_is_continuous_across_the_grids_border():
 
 def test_surface_chain_turns_normals_as_a_ball_does():
     """On a ball of radius R the normal turns by t / R: H g = tangential g / R, negative inward."""
-    from bidexdata.synthesis import distance_field_kernels as k
+    from bidexdata.objects import distance_field_kernels as k
 
     grid = ball_grid(cells=96)
     unit = rng.standard_normal((4, 10, 3))
@@ -271,7 +271,7 @@ def test_surface_chain_turns_normals_as_a_ball_does():
 
 def test_the_region_gradient_on_a_ball_is_the_central_difference():
     """The point that faces the ball moves less than the centre: by 1 - r / |c| along the ball."""
-    from bidexdata.synthesis import distance_field_kernels as k
+    from bidexdata.objects import distance_field_kernels as k
     from bidexdata.synthesis.contact_kernels import contact_region
 
     shape, r, a = (8, 5), np.full(5, 0.012), 0.02
@@ -305,7 +305,7 @@ def test_the_region_gradient_on_a_ball_is_the_central_difference():
 
 
 def test_surface_chain_on_a_plane_is_the_tangential_projection():
-    from bidexdata.synthesis import distance_field_kernels as k
+    from bidexdata.objects import distance_field_kernels as k
 
     p = np.concatenate([np.full((3, 5, 1), 0.2), rng.uniform(-0.2, 0.2, (3, 5, 2))], axis=-1)
     gp, gn = rng.standard_normal((2, 3, 5, 3))

@@ -8,10 +8,10 @@ import warp as wp
 from made_objects import ball_object, box_object
 
 from bidexdata.frames import matrix_from_quat, random_quat
+from bidexdata.objects.distance_field import device_field
+from bidexdata.objects.distance_field_kernels import closest_surface
 from bidexdata.synthesis import energies
 from bidexdata.synthesis.contact_kernels import circling_centres, shifted_centres
-from bidexdata.synthesis.distance_field import device_field
-from bidexdata.synthesis.distance_field_kernels import closest_surface
 
 wp.config.log_level = wp.LOG_WARNING
 wp.init()

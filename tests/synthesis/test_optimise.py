@@ -15,9 +15,9 @@ from bidexdata.frames import (
 from bidexdata.hands import load_hands
 from bidexdata.hands.contact_sets import contact_view
 from bidexdata.hands.kinematics import forward_kinematics, hand_points
+from bidexdata.objects.distance_field import signed_distance
 from bidexdata.objects.prepared import SignedDistanceGrid
 from bidexdata.synthesis import chain
-from bidexdata.synthesis.distance_field import signed_distance
 from bidexdata.synthesis.forces import (
     BaseGive,
     base_give,

@@ -10,8 +10,8 @@ from bidexdata import frames
 from bidexdata.errors import BadConfig
 from bidexdata.hands import load_hands
 from bidexdata.hands.kinematics import hand_points
+from bidexdata.objects.distance_field import signed_distance
 from bidexdata.record.scene import Scene
-from bidexdata.synthesis.distance_field import signed_distance
 from bidexdata.synthesis.placement import PlacementConfig, hang_hand, place_palms, scaled_variation
 from bidexdata.synthesis.placement_shapes import start_shapes, tangent_frames
 from bidexdata.synthesis.regions import RegionConfig, select_region_pairs

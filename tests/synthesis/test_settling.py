@@ -11,7 +11,7 @@ from made_objects import ball_object, box_object
 from settling_reference import rested
 
 from bidexdata.errors import BadConfig
-from bidexdata.synthesis.distance_field import device_field
+from bidexdata.objects.distance_field import device_field
 from bidexdata.synthesis.settling import (
     CORNERS,
     LEAST_PRESSED,

@@ -11,12 +11,12 @@ from bidexdata.hands import load_hands
 from bidexdata.hands.contact_sets import set_numbers
 from bidexdata.hands.kinematics import hand_points
 from bidexdata.hands.registry import spec_path
+from bidexdata.objects.distance_field import signed_distance
 from bidexdata.objects.prepare import prepare_object
 from bidexdata.record import Scene, Status
 from bidexdata.record.fields import FIELDS, columns_written_by
 from bidexdata.synthesis.attempts import grasp_ids, scene_seed
 from bidexdata.synthesis.config import SynthConfig
-from bidexdata.synthesis.distance_field import signed_distance
 from bidexdata.synthesis.pipeline import synthesize
 from bidexdata.synthesis.table import table_plane
 

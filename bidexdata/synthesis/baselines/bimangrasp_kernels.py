@@ -6,7 +6,7 @@ energies is in `bimangrasp_energies.py`.
 
 import warp as wp
 
-from bidexdata.synthesis.distance_field_kernels import DistanceField, signed_distance
+from bidexdata.objects.distance_field_kernels import DistanceField, signed_distance
 
 # Loops of 12 x 15 x 18 steps would become that many lines.
 wp.set_module_options({"enable_backward": False, "max_unroll": 0})
