@@ -32,6 +32,8 @@ from bidexdata.cli.prepare import prepare
 from bidexdata.cli.publish import publish
 from bidexdata.cli.render import render
 from bidexdata.cli.rigs import rigs
+from bidexdata.cli.split import split
+from bidexdata.cli.subset import subset
 from bidexdata.cli.synth import synth
 from bidexdata.cli.table import table
 from bidexdata.cli.validate import validate

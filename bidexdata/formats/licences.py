@@ -91,6 +91,8 @@ def normal_licence(text: object) -> str:
         ('CC-BY-NC-4.0', 'Apache-2.0')
         >>> normal_licence("https://creativecommons.org/licenses/by-sa/4.0/")
         'CC-BY-SA-4.0'
+        >>> normal_licence("Zlib (Bullet)")  # a remark behind it, such as whose it is
+        'Zlib'
         >>> normal_licence("all rights reserved"), normal_licence(None)
         ('unknown', 'unknown')
     """
@@ -100,7 +102,8 @@ def normal_licence(text: object) -> str:
         kind, name, version = address.groups()
         words = f"cc0-{version}" if name == "zero" else f"cc-{name}-{version}"
         words = "public-domain" if kind == "publicdomain" and name == "mark" else words
-    return _BY_PLAIN.get(_plain(words), UNKNOWN)
+    without_remark = re.sub(r"\s*\([^()]*\)$", "", words)
+    return _BY_PLAIN.get(_plain(words)) or _BY_PLAIN.get(_plain(without_remark), UNKNOWN)
 
 
 def allows(licence: object, policy: str) -> bool:
