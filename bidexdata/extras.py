@@ -51,6 +51,8 @@ def require(*modules: str) -> None:
 
 def missing_extra(err: BaseException) -> MissingExtra | None:
     """What to tell a person about a failed import; None where no extra would help."""
-    name = err.name if isinstance(err, ModuleNotFoundError) else None
-    known = EXTRA_OF.get((name or "").partition(".")[0])
+    name = (err.name or "").partition(".")[0] if isinstance(err, ModuleNotFoundError) else ""
+    # Whoever asks for the version of a package that is not there gets its name, not the module's.
+    by_package = {package: (package, extra) for package, extra in EXTRA_OF.values()}
+    known = EXTRA_OF.get(name) or by_package.get(name)
     return None if known is None else MissingExtra(*known)

@@ -17,7 +17,8 @@ import warp as wp
 
 from bidexdata.hands.device import backward_arguments, forward_arguments
 from bidexdata.hands.kinematics_kernels import hand_backward, hand_forward
-from bidexdata.synthesis import contact_kernels, distance_field_kernels, sphere_kernels
+from bidexdata.objects import distance_field_kernels
+from bidexdata.synthesis import contact_kernels, sphere_kernels
 from bidexdata.synthesis.update_kernels import adam_step
 from bidexdata.wrench.qp import ContactQP, QPConfig, gradient_arguments, solve_arguments
 from bidexdata.wrench.qp_kernels import contact_qp_gradient_kernel, contact_qp_kernel

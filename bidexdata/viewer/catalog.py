@@ -64,9 +64,13 @@ class Catalog:
         return self.source.object_ids
 
     @cached_property
+    def _categories(self) -> tuple[str, ...]:
+        return self.source.categories()
+
+    @cached_property
     def category_names(self) -> tuple[str, ...]:
         """Categories that some object has, sorted."""
-        return tuple(sorted({c for c in self.source.categories() if c}))
+        return tuple(sorted({c for c in self._categories if c}))
 
     @cached_property
     def reasons(self) -> tuple[Status, ...]:
@@ -97,7 +101,7 @@ class Catalog:
         with self._lock:
             index = self.source.index()
             if index is None:
-                matches = objects_matching(self.object_ids, self.source.categories(), wanted)
+                matches = objects_matching(self.object_ids, self._categories, wanted)
                 ids = tuple(self.object_ids[k] for k in np.flatnonzero(matches))
                 return Found(ids, None, lambda name: matching_rows(self._grasps(name), wanted))
             found = index.find(wanted)

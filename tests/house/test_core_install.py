@@ -7,13 +7,13 @@ import re
 import subprocess
 import sys
 import tomllib
-from importlib.metadata import packages_distributions
+from importlib.metadata import PackageNotFoundError, packages_distributions
 from pathlib import Path
 
 import pytest
 from made_release import made_release
 
-from bidexdata.extras import EXTRA_OF
+from bidexdata.extras import EXTRA_OF, missing_extra
 from bidexdata.hands import load_hands
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -192,3 +192,12 @@ def test_what_reads_a_release_needs_the_core_alone(packed, tmp_path, arguments):
     line = arguments.format(release=packed, out=tmp_path)
     done = started(COMMAND, line, modules_of_extras())
     assert done.returncode == 0, done.stderr
+
+
+def test_a_version_of_a_package_that_is_not_there_names_the_extra_too():
+    assert str(missing_extra(PackageNotFoundError("warp-lang"))).endswith("'bidexdata[synth]'")
+    assert (
+        missing_extra(ModuleNotFoundError("no such thing", name="warp.fem")).package == "warp-lang"
+    )
+    assert missing_extra(ModuleNotFoundError("no such thing", name="nothing")) is None
+    assert missing_extra(ValueError("warp")) is None

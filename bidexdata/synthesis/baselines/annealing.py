@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from bidexdata.synthesis import chain, distance_field_kernels, sphere_kernels
+from bidexdata.objects import distance_field_kernels
+from bidexdata.synthesis import chain, sphere_kernels
 from bidexdata.synthesis.baselines import annealing_kernels, bimangrasp_kernels
 from bidexdata.synthesis.baselines.bimangrasp_energies import Terms
 
