@@ -27,7 +27,7 @@ from bidexdata.record import HandHeader
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
 
-_NOT_DATA = ("make_spec", "licence_text")
+_NOT_DATA = ("make_spec", "make_mounted", "licence_text")
 
 
 def hand_folder(name: str, side: str) -> str:

@@ -23,7 +23,7 @@ try:
     import torch
     from torch import Tensor
 except ModuleNotFoundError as err:
-    raise MissingExtra("torch") from err
+    raise MissingExtra("torch", "synth") from err
 
 if TYPE_CHECKING:
     import numpy as np
@@ -66,7 +66,7 @@ class HandModel(torch.nn.Module):
         """
         super().__init__()
         if find_spec("pytorch_kinematics") is None:
-            raise MissingExtra("pytorch-kinematics")
+            raise MissingExtra("pytorch-kinematics", "synth")
         import pytorch_kinematics
 
         self.hand = hand

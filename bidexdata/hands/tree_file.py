@@ -22,7 +22,7 @@ _NAMES = (
     "contact_part",
 )
 _TEXT = ("name", "side", "spec_hash", "licence")
-_NOT_THERE = ("make_spec", "prefix", "licence_text")
+_NOT_THERE = ("make_spec", "make_mounted", "prefix", "licence_text")
 _WIDTHS = {"contact_pos": 3, "contact_normal": 3, "sphere_pos": 3, "self_pairs": 2}
 
 

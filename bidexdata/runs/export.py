@@ -84,12 +84,11 @@ def export_release(
     partial.mkdir(parents=True)
     try:
         grasps, skipped, objects = _write(release, writer, partial, split, limit, quiet)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
-    if out.exists():
-        out.rmdir()
-    os.replace(partial, out)
+        if out.exists():
+            out.rmdir()
+        os.replace(partial, out)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)  # gone already, but after a stop
     return ExportReport(
         out=out,
         grasps=grasps,

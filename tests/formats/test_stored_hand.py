@@ -16,7 +16,7 @@ from bidexdata.formats.stored_hand import stored_hand
 from bidexdata.hands import load_hands
 from bidexdata.runs.resimulate import release_hands
 
-NOT_STORED = ("make_spec", "licence_text")
+NOT_STORED = ("make_spec", "make_mounted", "licence_text")
 NAMES_OF_FILES = ("paths", "mesh_pathadr", "signature")
 
 
