@@ -36,6 +36,12 @@ def imported(tmp_path_factory) -> Path:
     return root / "run"
 
 
+@pytest.fixture(autouse=True)
+def licensed(monkeypatch):
+    """The made objects state no licence; here their meshes may be given away."""
+    monkeypatch.setattr("bidexdata.formats.licences.normal_licence", lambda text: "MIT")
+
+
 def tree_bytes(root: Path) -> dict[str, bytes]:
     return {p.relative_to(root).as_posix(): p.read_bytes() for p in root.rglob("*") if p.is_file()}
 
