@@ -62,7 +62,7 @@ def write_training_form(
     path, bounds = root / TRAINING_FILE, ("v110", "v114")
     aligned = {"alignment_threshold": 1, "alignment_interval": ALIGNMENT}
     # Without track_times the same rows give the same bytes.
-    with h5py.File(path, "w", libver=bounds, track_order=True, **aligned) as file:
+    with h5py.File(path, "w", libver=bounds, track_order=True, **aligned) as file:  # pyright: ignore[reportArgumentType]
         for key, text in (about or {"schema_version": SCHEMA_VERSION}).items():
             file.attrs[key] = text
         for configuration in CONFIGURATIONS:
