@@ -6,28 +6,20 @@ meshes is whole; one with meshes is so where the caller has files of these hashe
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from bidexdata.errors import Contradiction
 from bidexdata.formats.hand_files import compiled_hashes
+from bidexdata.hands.tree_file import hand_of_tree
 
 if TYPE_CHECKING:
     import mujoco
 
     from bidexdata.hands.model import Hand
-
-_WIDTHS = {
-    **dict.fromkeys(("body_pos", "joint_axis", "contact_pos", "contact_normal", "sphere_pos"), 3),
-    **{"body_quat_wxyz": 4, "self_pairs": 2},
-}
-"""Length of the last axis, which an empty list does not tell."""
 
 
 def stored_hand(folder: Path, assets: Mapping[str, bytes]) -> Hand | None:
@@ -55,7 +47,7 @@ def stored_hand(folder: Path, assets: Mapping[str, bytes]) -> Hand | None:
         made = {row["mesh"]: row["compiled_sha256"] for row in tree["assets"]}
         if compiled_hashes(make_spec().compile()) != made:
             return None
-        return _hand(tree, make_spec)
+        return hand_of_tree(tree, make_spec)
     except (OSError, ValueError, KeyError, TypeError, ET.ParseError) as err:
         raise Contradiction(f"{folder}: unreadable hand ({err!r})") from err
 
@@ -67,25 +59,3 @@ def _maker(xml: str, assets: Mapping[str, bytes]) -> Callable[[], mujoco.MjSpec]
         return mujoco.MjSpec.from_string(xml, assets=dict(assets))
 
     return make_spec
-
-
-def _hand(tree: Mapping[str, Any], make_spec: Callable[[], mujoco.MjSpec]) -> Hand:
-    from bidexdata.hands.model import Hand
-
-    values = {
-        f.name: _value(f.name, str(f.type), tree[f.name])
-        for f in dataclasses.fields(Hand)
-        if f.name in tree
-    }
-    return Hand(**values, make_spec=make_spec)
-
-
-def _value(name: str, kind: str, value: Any) -> Any:
-    if kind in ("FloatArray", "IntArray"):
-        array = np.array(value, np.float64 if kind == "FloatArray" else np.int32)
-        return array.reshape(-1, _WIDTHS[name]) if name in _WIDTHS else array
-    if kind.startswith("tuple"):
-        return tuple(value)
-    if kind.startswith("dict"):
-        return {key: tuple(names) for key, names in value.items()}
-    return value

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
 from bidexdata.errors import BadConfig, Contradiction, PathNotFound
 from bidexdata.hands.model import Hand
+
+if TYPE_CHECKING:
+    import mujoco
 
 _INTEGERS = ("body_parent", "body_joint", "contact_body", "sphere_body", "self_pairs")
 _NAMES = (
@@ -23,7 +27,11 @@ _NAMES = (
 )
 _TEXT = ("name", "side", "spec_hash", "licence")
 _NOT_THERE = ("make_spec", "make_mounted", "prefix", "licence_text")
-_WIDTHS = {"contact_pos": 3, "contact_normal": 3, "sphere_pos": 3, "self_pairs": 2}
+_WIDTHS = {
+    **dict.fromkeys(("body_pos", "joint_axis", "contact_pos", "contact_normal", "sphere_pos"), 3),
+    **{"body_quat_wxyz": 4, "self_pairs": 2},
+}
+"""Length of the last axis, which an empty list does not tell."""
 
 
 def hand_of_release(root: Path, side: str) -> Hand:
@@ -47,14 +55,26 @@ def read_hand(path: Path) -> Hand:
     """
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
-        values = {
-            f.name: _value(f.name, tree[f.name])
-            for f in dataclasses.fields(Hand)
-            if f.name not in _NOT_THERE
-        }
+        return hand_of_tree(tree, _NoModel(path))
     except (OSError, ValueError, KeyError, TypeError) as err:
         raise Contradiction(f"{path}: not the tree of a hand ({err!r})") from err
-    return Hand(**values, make_spec=_NoModel(path), prefix=_prefix(values))
+
+
+def hand_of_tree(tree: Mapping[str, Any], make_spec: Callable[[], mujoco.MjSpec]) -> Hand:
+    """Build a hand from what `tree.json` holds and a function that gives its model.
+
+    Raises:
+        KeyError: A field is missing.
+        ValueError: One has another shape or kind.
+        TypeError: The same.
+    """
+    values = {
+        f.name: _value(f.name, tree[f.name])
+        for f in dataclasses.fields(Hand)
+        if f.name not in _NOT_THERE
+    }
+    prefix = tree["prefix"] if "prefix" in tree else _prefix(values)
+    return Hand(**values, make_spec=make_spec, prefix=prefix)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +99,7 @@ def _value(name: str, value: Any) -> Any:
 
 
 def _prefix(values: dict[str, Any]) -> str:
-    """What all names of bodies and joints begin with, up to an underscore."""
+    """What all names of bodies and joints begin with, up to an underscore: of trees before schema 1.3."""
     names = (*values["body_names"], *values["joint_names"])
     head = names[0][: names[0].find("_") + 1]
     return head if all(n.startswith(head) for n in names) else ""
