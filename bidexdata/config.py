@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from bidexdata.errors import BadConfig, PathNotFound, UnknownChoice, UnknownKey
+from bidexdata.errors import BadConfig, PathNotFound, UnknownChoice, UnknownKey, UnknownName
 
 T = TypeVar("T")
 
@@ -142,6 +142,28 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise BadConfig(f"{path}: expected a mapping of keys to values at the top")
     return data
+
+
+def named_yaml(kind: str, name: str, known: Sequence[str], folder: Path) -> Path:
+    """Find the YAML file of something that comes with the package, or that a path names.
+
+    Args:
+        kind: What it is, for the message.
+        name: One of `known`, or a path.
+        known: Files of `folder`, without their ending.
+        folder: Of the package.
+
+    Raises:
+        UnknownName: Nothing has this name and no file this path.
+    """
+    if name in known:
+        return folder / f"{name}.yaml"
+    path = Path(name)
+    if path.suffix not in (".yaml", ".yml"):
+        raise UnknownName(kind, name, known, hint="the path of a YAML spec works too")
+    if not path.is_file():
+        raise UnknownName(kind, name, known, hint="and there is no such file")
+    return path.resolve()
 
 
 def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

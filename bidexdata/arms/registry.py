@@ -9,7 +9,7 @@ from pathlib import Path
 
 from bidexdata.arms.source import ArmMjcf, load_arm
 from bidexdata.arms.spec import RigSpec, read_rig
-from bidexdata.errors import UnknownName
+from bidexdata.config import named_yaml
 from bidexdata.hands.model import Side
 
 _RIGS = Path(__file__).parent / "rigs"
@@ -66,14 +66,7 @@ def rig_path(name: str) -> Path:
     Raises:
         UnknownName: No rig has this name and no file this path.
     """
-    if name in rig_names():
-        return _RIGS / f"{name}.yaml"
-    path = Path(name)
-    if path.suffix in (".yaml", ".yml"):
-        if path.is_file():
-            return path.resolve()
-        raise UnknownName("rig", name, rig_names(), hint="and there is no such file")
-    raise UnknownName("rig", name, rig_names(), hint="the path of a YAML spec works too")
+    return named_yaml("rig", name, rig_names(), _RIGS)
 
 
 @lru_cache(maxsize=8)

@@ -9,7 +9,8 @@ from __future__ import annotations
 from functools import lru_cache
 from pathlib import Path
 
-from bidexdata.errors import BadConfig, UnknownName
+from bidexdata.config import named_yaml
+from bidexdata.errors import BadConfig
 from bidexdata.hands.assemble import mirrored_hand, written_hand
 from bidexdata.hands.model import Hand, Side
 from bidexdata.hands.spec import HandSpec, read_spec
@@ -67,14 +68,7 @@ def spec_path(name: str) -> Path:
     Raises:
         UnknownName: No hand has this name and no file this path.
     """
-    if name in hand_names():
-        return _SPECS / f"{name}.yaml"
-    path = Path(name)
-    if path.suffix in (".yaml", ".yml"):
-        if path.is_file():
-            return path.resolve()
-        raise UnknownName("hand", name, hand_names(), hint="and there is no such file")
-    raise UnknownName("hand", name, hand_names(), hint="the path of a YAML spec works too")
+    return named_yaml("hand", name, hand_names(), _SPECS)
 
 
 @lru_cache(maxsize=16)
