@@ -124,7 +124,7 @@ def _tables(
 ) -> None:
     """Make the paper's tables again: comparison, ablation, region quality.
 
-    Twelve rows; `--limit 1 --grasps 1` takes some minutes. Each row is a run DIR/ROW, made and tested as by synth and validate, which other commands take
+    Eleven rows; `--limit 1 --grasps 1` takes some minutes. Each row is a run DIR/ROW, made and tested as by synth and validate, which other commands take
     too. The same command goes on after a stop, and does nothing where nothing is missing. Writes
     DIR/tables.md and DIR/tables.json, with the paper's figures beside ours. docs/tables.md says
     what each row is and which of them are readings of the paper.

@@ -8,11 +8,10 @@ from typing import Annotated
 import typer
 
 from bidexdata.cli import options
+from bidexdata.cli.checks import finish_check, picture_place
 from bidexdata.cli.report import command, finish, table, warn
-from bidexdata.wording import counted
 
 hands = typer.Typer(invoke_without_command=True, no_args_is_help=False)
-_WORDS = {True: "ok", False: "FAILED", None: "-"}
 
 
 @hands.callback()
@@ -69,29 +68,10 @@ def _check(
     --json keys: hand, passed, checks (a list of check, passed, says; passed is null where a check
     was not made), picture, grasps, grasps_held, seconds.
     """
-    from bidexdata.errors import NotUsable
     from bidexdata.runs.check_hand import check_hand
 
-    picture = out or Path(f"{Path(spec).stem}_check.png")
-    _check_place(picture)
+    picture = picture_place(out, spec, "hand")
     say = (lambda _: None) if quiet else (lambda text: warn(f"-- {text}"))
     report = check_hand(spec, picture, seed=seed, say=say)
-    lines = table([[f.check, _WORDS[f.passed], f.says] for f in report.findings])
-    if report.picture is not None:
-        lines.append(f"look at {report.picture}")
-    following = "" if report.failed else command("synth", "LIBRARY", "--out", "RUN", "--hand", spec)
-    finish(report.as_dict(), lines, following=following, as_json=as_json, quiet=quiet)
-    if report.failed:
-        raise NotUsable(
-            f"hand {report.name} does not pass {counted(len(report.failed), 'check')}: "
-            f"{', '.join(report.failed)}; docs/own_hand.md says what each asks for"
-        )
-
-
-def _check_place(picture: Path) -> None:
-    from bidexdata.errors import PathNotFound
-    from bidexdata.pictures.sheet import PICTURE_ENDINGS, require_ending
-
-    require_ending(picture, PICTURE_ENDINGS, "a picture of a hand")
-    if not picture.resolve().parent.is_dir():
-        raise PathNotFound(picture.parent, "a folder for the picture")
+    following = command("synth", "LIBRARY", "--out", "RUN", "--hand", spec)
+    finish_check(report, "hand", following, as_json=as_json, quiet=quiet)

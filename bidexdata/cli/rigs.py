@@ -8,11 +8,10 @@ from typing import Annotated
 import typer
 
 from bidexdata.cli import options
+from bidexdata.cli.checks import finish_check, picture_place
 from bidexdata.cli.report import command, finish, table
-from bidexdata.wording import counted
 
 rigs = typer.Typer(invoke_without_command=True, no_args_is_help=False)
-_WORDS = {True: "ok", False: "FAILED", None: "-"}
 
 
 @rigs.callback()
@@ -77,29 +76,11 @@ def _check(
     check was not made), carried_kg, payload_kg, reach (shares by reason), reach_by_size, picture,
     seconds.
     """
-    from bidexdata.errors import BadValue, NotUsable
+    from bidexdata.errors import BadValue
     from bidexdata.runs.check_rig import check_rig
 
     if object_mass is not None and not 0 <= object_mass < float("inf"):
         raise BadValue(f"--object-mass {object_mass}: must be zero or more")
-    picture = out or Path(f"{Path(spec).stem}_check.png")
-    _check_place(picture)
+    picture = picture_place(out, spec, "rig")
     report = check_rig(spec, picture, hand=hand, object_mass=object_mass)
-    lines = table([[f.check, _WORDS[f.passed], f.says] for f in report.findings])
-    if report.picture is not None:
-        lines.append(f"look at {report.picture}")
-    finish(report.as_dict(), lines, as_json=as_json, quiet=quiet)
-    if report.failed:
-        raise NotUsable(
-            f"rig {report.name} does not pass {counted(len(report.failed), 'check')}: "
-            f"{', '.join(report.failed)}; docs/own_rig.md says what each asks for"
-        )
-
-
-def _check_place(picture: Path) -> None:
-    from bidexdata.errors import PathNotFound
-    from bidexdata.pictures.sheet import PICTURE_ENDINGS, require_ending
-
-    require_ending(picture, PICTURE_ENDINGS, "a picture of a rig")
-    if not picture.resolve().parent.is_dir():
-        raise PathNotFound(picture.parent, "a folder for the picture")
+    finish_check(report, "rig", as_json=as_json, quiet=quiet)
