@@ -196,6 +196,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--hand", default="shadow", help="%(default)s")
     parser.add_argument("--sizes", default=",".join(f"{mm / 1000:g}" for mm in SIZES_MM))
     parser.add_argument("--setting", choices=TESTS, default="floating", help="%(default)s")
+    parser.add_argument("--rest-poses", type=int, default=None, metavar="N", help="on a table")
     parser.add_argument("--protocol", default="paper-1", help="%(default)s")
     parser.add_argument("--shard", metavar="I/N", help="part I of N of the objects, I from 0")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="of synth")
@@ -210,6 +211,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 hand=given.hand,
                 sizes_mm=parse_sizes(given.sizes),
                 setting=given.setting,
+                rest_poses=given.rest_poses,
                 grasps=GRASPS,
                 candidates=ATTEMPTS,
             )
