@@ -24,6 +24,8 @@ from bidexdata.record import GraspBatch
 
 COLUMNS = ("object_pos", "object_quat_wxyz", "hand_pos", "hand_quat_wxyz", "joints")
 _TINY = 1e-12
+_UNIT = 1e-3
+"""A quaternion whose length is further from 1 is no rotation [-]; verify is stricter."""
 GRASP = 1
 """The stage that counts."""
 
@@ -88,14 +90,14 @@ class FiniteVectors(NamedTuple):
 
 
 def finite_vectors(batch: GraspBatch) -> FiniteVectors | None:
-    """Vectors of the rows whose numbers are all finite and whose rotations are some.
+    """Vectors of the rows whose numbers are all finite and whose quaternions are unit ones.
 
     None where the batch has no poses.
     """
     if any(name not in batch for name in COLUMNS):
         return None
-    good = _turns(batch.object_quat_wxyz)
-    good &= _turns(batch.hand_quat_wxyz[:, :, GRASP]).all(axis=1)
+    good = _unit(batch.object_quat_wxyz)
+    good &= _unit(batch.hand_quat_wxyz[:, :, GRASP]).all(axis=1)
     rows = np.flatnonzero(good)
     posed = GraspBatch(batch.header, {name: batch[name][rows] for name in COLUMNS})
     vectors = grasp_vectors(posed)
@@ -115,10 +117,9 @@ def grasp_vectors(batch: GraspBatch) -> NDArray[np.float64]:
     return np.concatenate(parts, axis=1, dtype=np.float64)
 
 
-def _turns(quat: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Where a quaternion is a rotation when it is made unit."""
-    length = np.linalg.norm(quat.astype(np.float64), axis=-1)
-    return np.isfinite(length) & (length > _TINY)
+def _unit(quat: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Where a quaternion is a rotation as it stands: two short ones have a product of length 0."""
+    return np.abs(np.linalg.norm(quat.astype(np.float64), axis=-1) - 1.0) < _UNIT
 
 
 def _first_share(matrix: NDArray[np.float64]) -> float:
