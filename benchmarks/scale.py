@@ -8,7 +8,7 @@ measures, each in a process of its own:
 - bytes per row of the grasps table;
 - open: seconds of `Release.open` and `BiDexDataset(...)`, imports not counted;
 - batches: milliseconds of random 256-row batches among the first 100,000 rows and among all, in turn,
-  pages of both in the cache.
+  after `BiDexDataset.warm()`, which brings the pages of all rows into memory.
 
 What is there already is not made again, so a measurement may be repeated; `--drop-shards` deletes DIR/run
 and DIR/library once the release stands. 1e7 rows take about 50 GB and leave half of that.
@@ -118,7 +118,7 @@ def batches(out: Path) -> dict[str, Any]:
     from bidexdata import BiDexDataset
 
     data = BiDexDataset(out / "release", split="train", cloud=None)
-    _touch(out / "release" / "grasps.h5")
+    data.warm()
     rng = np.random.default_rng(0)
     ends = {"few": min(FEW, len(data)), "all": len(data)}
     seconds: dict[str, list[float]] = {name: [] for name in ends}
@@ -196,13 +196,6 @@ def _sizes(release: Path) -> dict[str, Any]:
     whole = sum(p.stat().st_size for p in release.rglob("*") if p.is_file())
     per_row = {f"{name}_bytes_per_row": size / rows for name, size in tables.items() if size}
     return {"release_gb": whole / 1e9, **per_row}
-
-
-def _touch(path: Path) -> None:
-    if path.is_file():
-        with path.open("rb") as file:
-            while file.read(1 << 24):
-                pass
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
