@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from bidexdata.errors import BadConfig, PathNotFound, UnknownChoice, UnknownKey, UnknownName
+from bidexdata.yaml_lines import Located, parse_yaml, say_line
 
 T = TypeVar("T")
 
@@ -59,7 +60,8 @@ def from_plain(cls: type[T], data: Any, where: str | None = None) -> T:
 
     Raises:
         UnknownKey: A key of `data` is no field of `cls`.
-        BadConfig: A value has the wrong type, or `cls` itself refuses it.
+        BadConfig: A value has the wrong type, or `cls` itself refuses it. Of data from a YAML file
+            the message names the line too.
     """
     where = cls.__name__ if where is None else where
     if not isinstance(data, Mapping):
@@ -68,14 +70,21 @@ def from_plain(cls: type[T], data: Any, where: str | None = None) -> T:
     hints = typing.get_type_hints(cls)
     kwargs = {}
     for key, value in data.items():
-        if key not in fields:
-            raise UnknownKey(key, sorted(fields), _level(where))
-        kwargs[key] = _convert(hints[key], value, _key(where, key))
+        try:
+            if key not in fields:
+                raise UnknownKey(key, sorted(fields), _level(where))
+            kwargs[key] = _convert(hints[key], value, _key(where, key))
+        except BadConfig as err:
+            say_line(err, data, key)
+            raise
     try:
         return cls(**kwargs)
     except BadConfig as err:
         # A class says Class.field: under which key it stands only this level knows.
-        err.args = (str(err).replace(f"{cls.__name__}.", _key(where, ""), 1),)
+        said, own = str(err), f"{cls.__name__}."
+        named = next((key for key in data if said.startswith(f"{own}{key} ")), "")
+        err.args = (said.replace(own, _key(where, ""), 1),)
+        say_line(err, data, named)
         raise
 
 
@@ -118,7 +127,7 @@ def with_overrides(config: T, assignments: Sequence[str]) -> T:
             raise BadConfig(
                 f"--set {assignment!r}: write KEY=VALUE, for example regions.anchors=100"
             )
-        _assign(plain, key.strip().split("."), _parse_yaml(text, f"--set {key}"), key)
+        _assign(plain, key.strip().split("."), parse_yaml(text, f"--set {key}"), key)
     return from_plain(type(config), plain, "")
 
 
@@ -138,7 +147,7 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
         raise BadConfig(f"{path}: not a text file ({err.reason})") from err
     except OSError as err:
         raise BadConfig(f"{path}: cannot be read ({err.strerror})") from err
-    data = _parse_yaml(text, str(path))
+    data = parse_yaml(text, str(path))
     if not isinstance(data, dict):
         raise BadConfig(f"{path}: expected a mapping of keys to values at the top")
     return data
@@ -167,8 +176,12 @@ def named_yaml(kind: str, name: str, known: Sequence[str], folder: Path) -> Path
 
 
 def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Overlay nested plain data: mappings merge key by key, everything else is replaced."""
-    merged = dict(base)
+    """Overlay nested plain data: mappings merge key by key, everything else is replaced.
+
+    Lines are those of the changes.
+    """
+    merged = Located(base)
+    merged.lines = dict(changes.lines) if isinstance(changes, Located) else {}
     for key, value in changes.items():
         old = merged.get(key)
         both = isinstance(old, Mapping) and isinstance(value, Mapping)
@@ -203,16 +216,6 @@ def _key(where: str, key: str) -> str:
 
 def _level(where: str) -> str:
     return where.rstrip(":") or "the configuration"
-
-
-def _parse_yaml(text: str, where: str) -> Any:
-    import yaml
-
-    try:
-        return yaml.safe_load(text)
-    except yaml.YAMLError as err:
-        first = str(err).splitlines()[0]
-        raise BadConfig(f"{where}: not valid YAML ({first})") from err
 
 
 def _assign(plain: dict[str, Any], path: list[str], value: Any, whole: str) -> None:

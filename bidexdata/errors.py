@@ -63,6 +63,9 @@ class UnknownName(NotUsable):
 class BadConfig(NotUsable):
     """A configuration, spec or expression is impossible."""
 
+    line: int | None = None
+    """Line of the YAML file that the refused value stands in, where one was read."""
+
 
 class BadValue(BadConfig):
     """A value given on the command line is no number, is malformed, or lies outside its range."""

@@ -154,6 +154,37 @@ def test_yaml_files_are_read_or_named(tmp_path: Path):
         config.load_yaml(tmp_path / "missing.yaml")
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("# mine\nsteps: 3\nstepz: 4\n", "has no key 'stepz'; did you mean 'steps'? (line 3)"),
+        (
+            "steps: 3\ninner:\n  names: [a]\n  weight: heavy\n",
+            "inner.weight must be float, not 'heavy' (line 4)",
+        ),
+        ("inner:\n\n  weight: -1\n", "weight must be >= 0, not -1.0 (line 3)"),
+        ("inner: {mode: medium}\n", "slow, fast, not 'medium' (line 1)"),
+        ("steps: 3\ninner: [1]\n", "(line 2)"),
+    ],
+)
+@pytest.mark.parametrize("over_a_base", [False, True])
+def test_a_refusal_of_a_file_names_the_line(text, said, over_a_base, tmp_path):
+    (tmp_path / "f.yaml").write_text(text)
+    data = config.load_yaml(tmp_path / "f.yaml")
+    if over_a_base:
+        data = config.merge(config.to_plain(Outer()), data)
+    with pytest.raises(BadConfig) as caught:
+        config.from_plain(Outer, data, "f.yaml:")
+    assert str(caught.value).startswith("f.yaml")
+    assert str(caught.value).endswith(said)
+
+
+def test_a_file_that_is_no_yaml_names_the_line(tmp_path):
+    (tmp_path / "f.yaml").write_text("steps: 3\nlabel: a: b\n")
+    with pytest.raises(BadConfig, match=r"f\.yaml, line 2: not valid YAML \(mapping values"):
+        config.load_yaml(tmp_path / "f.yaml")
+
+
 def test_merge_overlays_nested_mappings_only():
     base = {"a": {"x": 1, "y": 2}, "b": [1, 2]}
     assert config.merge(base, {"a": {"y": 3}, "b": [9]}) == {"a": {"x": 1, "y": 3}, "b": [9]}
