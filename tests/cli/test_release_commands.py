@@ -8,14 +8,13 @@ from pathlib import Path
 
 import pytest
 from made_release import OBJECTS, made_release
+from old_releases import unpacked
 
 from bidexdata.cli.main import run
 from bidexdata.formats.release import Release
 from bidexdata.formats.verify import verify_release
 from bidexdata.hands import load_hands
 from bidexdata.runs.release_pictures import SHEET, card_pictures
-
-OLD = Path(__file__).parents[1] / "formats" / "fixtures" / "schema-1.2"
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +31,8 @@ def quiet(*words: object) -> list[str]:
 
 
 def test_a_release_goes_through_every_command_and_keeps_every_law(packed, tmp_path, capsys):
-    assert run([*quiet("migrate", OLD, "--out", tmp_path / "new"), "--json"]) == 0
+    old = unpacked("schema-1.2", tmp_path / "old")
+    assert run([*quiet("migrate", old, "--out", tmp_path / "new"), "--json"]) == 0
     data = said(capsys)
     assert data["n"] == 7
     assert shlex.split(data["next"])[:2] == ["bidexdata", "verify"]

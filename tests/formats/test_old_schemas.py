@@ -1,15 +1,14 @@
 """A release of every schema that was ever written opens, reads, loads and verifies, for good.
 
-`fixtures/schema-X.Y` holds the release that this version of the package wrote under schema X.Y.
-They are never made again: a fixture that had to change would be a reader that broke.
+Where they come from: `old_releases`.
 """
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from old_releases import ARCHIVES, SCHEMAS, unpacked
 
 from bidexdata.errors import Contradiction
 from bidexdata.formats import hdf5
@@ -18,24 +17,28 @@ from bidexdata.formats.release import Release
 from bidexdata.formats.verify import verify_release
 from bidexdata.record.batch import SCHEMA_VERSION
 
-FIXTURES = sorted((Path(__file__).parent / "fixtures").glob("schema-*"))
-every_schema = pytest.mark.parametrize("old", FIXTURES, ids=lambda p: p.name)
+LARGEST = 300_000
+"""Bytes of all of them together: whoever clones the project has them too."""
+
+
+@pytest.fixture(scope="module", params=SCHEMAS)
+def old(request, tmp_path_factory) -> Path:
+    return unpacked(request.param, tmp_path_factory.mktemp("old"))
 
 
 def test_there_is_a_fixture_of_every_schema_before_this_one():
     major, minor = map(int, SCHEMA_VERSION.split("."))
     # Schemas 1.0 and 1.1 were written by no version that was given away.
     before = {f"schema-{major}.{m}" for m in range(2, minor)}
-    assert before <= {p.name for p in FIXTURES}
+    assert before <= set(SCHEMAS)
+    assert sum(path.stat().st_size for path in ARCHIVES) < LARGEST
 
 
-@every_schema
 def test_an_old_release_keeps_every_law(old):
     report = verify_release(old, full=True)
     assert report.ok, [c.detail for c in report.checks if not c.ok]
 
 
-@every_schema
 def test_an_old_release_reads_in_both_forms(old):
     release = Release.open(old)
     assert old.name == f"schema-{release.header.schema_version}"
@@ -55,7 +58,6 @@ def test_an_old_release_reads_in_both_forms(old):
     )
 
 
-@every_schema
 def test_an_old_release_loads(old):
     pytest.importorskip("torch")
     from bidexdata import BiDexDataset
@@ -76,7 +78,7 @@ def newer(folder: Path, version: str) -> Path:
 
 
 def test_a_newer_major_version_is_refused_with_the_command_that_upgrades(tmp_path):
-    folder = newer(Path(shutil.copytree(FIXTURES[0], tmp_path / "r")), "2.0")
+    folder = newer(unpacked(SCHEMAS[0], tmp_path), "2.0")
     with pytest.raises(Contradiction, match=r"schema 2\.0.*`pip install -U bidexdata`"):
         Release.open(folder)
     (said,) = verify_release(folder).checks
@@ -85,5 +87,5 @@ def test_a_newer_major_version_is_refused_with_the_command_that_upgrades(tmp_pat
 
 def test_a_newer_minor_version_opens(tmp_path):
     major = SCHEMA_VERSION.partition(".")[0]
-    folder = newer(Path(shutil.copytree(FIXTURES[0], tmp_path / "r")), f"{major}.99")
+    folder = newer(unpacked(SCHEMAS[0], tmp_path), f"{major}.99")
     assert len(Release.open(folder).grasps()) == 4
