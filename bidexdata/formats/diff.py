@@ -16,7 +16,7 @@ import numpy as np
 from bidexdata.formats import parquet
 from bidexdata.formats.columns import release_columns
 from bidexdata.formats.release import Release
-from bidexdata.formats.stored import StoredRows
+from bidexdata.formats.stored_rows import StoredRows
 
 _ABOUT = ("name", "version", "schema_version", "default_protocol", "licences")
 

@@ -7,26 +7,18 @@ on it (the rates `unselected`) is left out, and the text says so.
 
 from __future__ import annotations
 
-import itertools
-import json
 import math
 import tempfile
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from bidexdata.errors import Contradiction
 from bidexdata.formats.card import write_card
 from bidexdata.formats.citation import About
 from bidexdata.formats.figures import Tally
 from bidexdata.formats.pages import write_pages
-from bidexdata.formats.row_groups import aligned
-from bidexdata.formats.stored_rows import StoredRows, stored_rows
-from bidexdata.record import GraspBatch
+from bidexdata.formats.stored_rows import StoredRows
 from bidexdata.record.batch import SCHEMA_VERSION
 from bidexdata.record.fields import METRICS, TESTS
 from bidexdata.wording import counted
@@ -43,18 +35,21 @@ _NOT_OF_HEAD = ("format", "files")
 
 def figures(release: Release) -> str:
     """Count every figure of every protocol again and compare key by key."""
-    again = _Recount(release)
-    for rows in stored_rows(release):
-        again.add(rows)
+    tallies, rows = _tallies(release), StoredRows(release, contacts=False)
+    for object_id in rows.object_ids:
+        for part in rows.rows_of(object_id):
+            for name, tally in tallies.items():
+                verdicts = {t: v for (p, t), v in part.verdicts.items() if p == name}
+                tally.add(part.batch, verdicts, run=part.run, grasps=rows.wanted[part.run])
     ours = made_here(release)
     stated = {release.default_protocol: release.figures, **release.other_figures}
     compared, left_out = 0, 0
-    for protocol, tally in again.tallies.items():
+    for protocol, tally in tallies.items():
         if protocol not in stated:
             continue  # an older release states the default protocol's alone
         pairs = list(_leaves(stated[protocol], tally.figures(), protocol, ours))
         for path, said, found in pairs:
-            if again.unsure and "unselected" in path:
+            if rows.unsure and "unselected" in path:
                 left_out += 1
             elif (ours or _is_count(said)) and not _same(path, said, found):
                 raise Contradiction(
@@ -132,102 +127,11 @@ def _link_tables(source: Path, root: Path) -> None:
         link.symlink_to(path.resolve())
 
 
-class _Recount:
-    """One tally per protocol, fed as the writer fed its own."""
-
-    def __init__(self, release: Release):
-        self._tests = release.protocols
-        names = sorted({release.default_protocol, *(p for p, _ in self._tests)})
-        self.tallies = {
-            name: Tally(tuple(t for t in TESTS if (name, t) in self._tests) or ("f",))
-            for name in names
-        }
-        runs = release.runs.select(["run", "grasps"]).to_pylist()
-        self._wanted = {r["run"]: None if r["grasps"] < 0 else r["grasps"] for r in runs}
-        self._tested_runs = _tested_runs(release)
-        self._several = False
-        self._presumed: set[tuple[str, tuple[str, str]]] = set()
-        self._partly: set[tuple[str, tuple[str, str]]] = set()
-
-    @property
-    def unsure(self) -> bool:
-        """Whether rates `unselected` hang on what the tables do not tell."""
-        return self._several or bool(self._presumed & self._partly)
-
-    def add(self, rows: StoredRows) -> None:
-        """Count the rows of one object."""
-        counts: dict[str, dict[str, dict[str, int]]] = defaultdict(dict)
-        with_rows: dict[str, set[str]] = defaultdict(set)
-        for scene, run in {*zip(rows.batch["scene_id"].tolist(), rows.run.tolist(), strict=True)}:
-            with_rows[scene].add(run)
-        for scene in rows.scenes:
-            name = str(scene["scene_id"])
-            attempts = json.loads(str(scene["attempts"]))
-            for run in sorted(self._runs_of(scene, with_rows[name])):
-                counts[run][name] = attempts
-                attempts = {}  # they are summed over the runs: count them once
-        for run, own in sorted(counts.items()):
-            mine = rows.run == run
-            batch = rows.batch.select(mine)
-            header = _with_counts(batch, own)
-            for protocol, tally in self.tallies.items():
-                verdicts = {
-                    test: {c: v[mine] for c, v in rows.verdicts[name, test].items()}
-                    for name, test in self._tests
-                    if name == protocol and self._was_tested(rows, mine, run, (name, test))
-                }
-                tally.add(header, verdicts, run=run, grasps=self._wanted[run])
-
-    def _was_tested(
-        self, rows: StoredRows, mine: np.ndarray, run: str, key: tuple[str, str]
-    ) -> bool:
-        if mine.any():
-            tested = bool(rows.tested[key][mine].any())
-            if not tested:
-                self._partly.add((run, key))
-            return tested
-        self._presumed.add((run, key))
-        return key in self._tested_runs.get(run, ())
-
-    def _runs_of(self, scene: Mapping[str, Any], known: set[str]) -> set[str]:
-        """The runs that worked on a scene: those of its rows, and others that fit what it says."""
-        missing = scene["runs"] - len(known)
-        if missing <= 0:
-            return known
-        wanted = scene["grasps_wanted"] - sum(self._wanted[run] or 0 for run in known)
-        others = sorted(set(self._wanted) - known)
-        fits = [
-            set(chosen)
-            for chosen in itertools.islice(itertools.combinations(others, missing), 1000)
-            if sum(self._wanted[run] or 0 for run in chosen) == wanted
-        ]
-        if not fits:
-            raise Contradiction(f"scene {scene['scene_id']}: no runs give its grasps_wanted")
-        self._several |= len(fits) > 1
-        return known | fits[0]
-
-
-def _with_counts(batch: GraspBatch, counts: Mapping[str, Mapping[str, int]]) -> GraspBatch:
-    return GraspBatch(replace(batch.header, counts=counts), batch.columns)
-
-
-def _tested_runs(release: Release) -> dict[str, set[tuple[str, str]]]:
-    """The tests that some row of each run was put to."""
-    import pyarrow.compute as pc
-
-    compute: Any = pc
-    found: dict[str, set[tuple[str, str]]] = defaultdict(set)
-    places = itertools.product(release.protocols, release.configurations, release.split_names)
-    for key, configuration, split in places:
-        tables = {
-            "grasps": ["grasp_id", "run"],
-            "verdicts/" + "-".join(key): ["grasp_id", "success"],
-        }
-        for grasps, judged in aligned(release, tables, configuration, split):
-            runs = grasps.column("run").filter(judged.column("success").is_valid())
-            for run in compute.unique(runs).to_pylist():
-                found[run].add(key)
-    return found
+def _tallies(release: Release) -> dict[str, Tally]:
+    """One tally per protocol, as the writer has them."""
+    tests = release.protocols
+    names = sorted({release.default_protocol, *(p for p, _ in tests)})
+    return {name: Tally(tuple(t for t in TESTS if (name, t) in tests) or ("f",)) for name in names}
 
 
 def _leaves(stated: Any, found: Any, path: str, ours: bool) -> Iterator[tuple[str, Any, Any]]:

@@ -1,6 +1,6 @@
 """Releases become another release: one engine for migrate, merge, split and subset.
 
-Everything is streamed object by object (`formats.stored`) into the one writer, so that what comes
+Everything is streamed object by object (`formats.stored_rows`) into the one writer, so that what comes
 out obeys the same laws, and its figures, pages and manifest are made anew.
 """
 
@@ -20,7 +20,8 @@ from bidexdata.formats.pages import Picture
 from bidexdata.formats.release import Release, write_release
 from bidexdata.formats.rows import ReleaseRows, RunInfo
 from bidexdata.formats.splits import ALL, Splitting, check_rule
-from bidexdata.formats.stored import Choose, StoredParts, StoredRows, run_infos, tests_of
+from bidexdata.formats.stored_parts import StoredParts, run_infos, tests_of
+from bidexdata.formats.stored_rows import Choose, StoredRows
 from bidexdata.formats.writer import Form, ReleaseSummary, check_names
 from bidexdata.record.batch import SCHEMA_VERSION
 

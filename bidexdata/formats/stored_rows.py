@@ -1,134 +1,170 @@
-"""All rows of a release, object by object, each row once and with all its verdicts.
+"""All rows of a release, object by object and run by run: as the writer was given them.
 
 A release holds a row that is selected and an audit row twice, in two tables; here it comes once.
-What is held in memory is the rows of one object and a row group of each table.
+What is held in memory is one object's rows and a row group of each table. Whoever counts, compares
+or rewrites a release reads it here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, NamedTuple
+import itertools
+import json
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bidexdata.errors import Contradiction
+from bidexdata.formats.release import Release
 from bidexdata.formats.row_groups import aligned
-from bidexdata.formats.rows import TestKey
-from bidexdata.formats.tables import GRASP_COLUMNS, VERDICT_COLUMNS
-from bidexdata.record import GraspBatch
+from bidexdata.formats.row_stream import RowStream, TableRows, joined
+from bidexdata.formats.rows import ReleaseRows, TestKey
+from bidexdata.formats.scene_runs import SceneRuns
+from bidexdata.record import Header
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from bidexdata.formats.release import Release
+Choose = Callable[[str, "pa.Table"], np.ndarray]
+"""Chooses rows of one object by their scalar columns: a mask, (N,)."""
 
 
-class StoredRows(NamedTuple):
-    """The rows of one object in one split: selected rows, then the other audit rows."""
+class StoredRows:
+    """The rows of a release; objects must be asked for in ascending order, each once."""
 
-    object_id: str
-    scenes: tuple[Mapping[str, object], ...]
-    """Rows of scenes.parquet, those without a grasp included."""
-    batch: GraspBatch
-    """Columns of the grasps table."""
-    run: np.ndarray
-    """Name of the run of each row, (N,)."""
-    verdicts: Mapping[TestKey, Mapping[str, np.ndarray]]
-    """Columns of each verdict table."""
-    tested: Mapping[TestKey, np.ndarray]
-    """Rows that the test was run on, (N,)."""
+    def __init__(
+        self,
+        release: Release,
+        *,
+        scenes: Callable[[Mapping[str, Any]], bool] = lambda _: True,
+        choose: Choose | None = None,
+        run_names: Mapping[str, str] | None = None,
+        contacts: bool = True,
+    ):
+        """Open the row tables.
 
+        Args:
+            release: Where.
+            scenes: Which scenes are wanted, by their row of the scenes table.
+            choose: Which rows of those are wanted; then scenes without such a row are left out.
+            run_names: New name of every run, where they change.
+            contacts: Read the contacts too.
+        """
+        self.release, self._choose = release, choose
+        self._names = run_names or {}
+        self._scenes: dict[str, list[dict[str, Any]]] = {}
+        for scene in release.scenes.to_pylist():
+            if scenes(scene):
+                self._scenes.setdefault(scene["object_id"], []).append(scene)
+        places = itertools.product(release.configurations, release.split_names)
+        self._streams = [RowStream(release, *place, contacts=contacts) for place in places]
+        runs = release.runs.select(["run", "grasps"]).to_pylist()
+        self.wanted = {r["run"]: None if r["grasps"] < 0 else r["grasps"] for r in runs}
+        """Grasps per scene that every run wanted; None where it did not say."""
+        self._scene_runs = SceneRuns(self.wanted)
+        self._presumed: set[tuple[str, TestKey]] = set()
+        self._partly: set[tuple[str, TestKey]] = set()
 
-def stored_rows(release: Release) -> Iterator[StoredRows]:
-    """Yield the objects of every split in the order of the tables.
+    def __contains__(self, object_id: str) -> bool:
+        """Whether an object has a wanted scene."""
+        return object_id in self._scenes
 
-    Raises:
-        Contradiction: The tables have other rows than scenes.parquet.
-    """
-    scenes = release.scenes.to_pylist()
-    for split in release.split_names:
-        streams = {c: _Stream(release, c, split) for c in release.configurations}
-        objects: dict[str, list[dict]] = {}
-        for scene in scenes:
-            if scene["split"] == split:
-                objects.setdefault(scene["object_id"], []).append(scene)
-        for object_id, mine in objects.items():
-            parts = []
-            for configuration, stream in streams.items():
-                rows = stream.take(sum(scene[f"{configuration}_rows"] for scene in mine))
-                again = configuration != "selected" and "selected" in release.configurations
-                parts.append(rows.without_selected() if again else rows)
-            yield _joined(release, object_id, tuple(mine), parts)
+    @property
+    def object_ids(self) -> tuple[str, ...]:
+        """Objects with a wanted scene, ascending."""
+        return tuple(sorted(self._scenes))
 
+    @property
+    def scenes(self) -> Iterator[Mapping[str, Any]]:
+        """Wanted rows of the scenes table."""
+        return itertools.chain.from_iterable(self._scenes.values())
 
-class _Rows(NamedTuple):
-    grasps: pa.Table
-    judged: tuple[pa.Table, ...]
+    @property
+    def unsure(self) -> bool:
+        """Whether the tables leave open which run made some attempts, or if they were tested.
 
-    def without_selected(self) -> _Rows:
-        import pyarrow as pa
+        Of the objects that were asked for so far. Rates `unselected` hang on it.
+        """
+        return self._scene_runs.ambiguous or bool(self._presumed & self._partly)
 
-        others = pa.array(~self.grasps.column("selected").to_numpy())
-        return _Rows(self.grasps.filter(others), tuple(t.filter(others) for t in self.judged))
+    def rows_of(self, object_id: str) -> Iterator[ReleaseRows]:
+        """Rows of one object, run by run, with the attempts of its scenes.
 
+        Raises:
+            Contradiction: A file is damaged, the row tables have not the same rows, or no runs fit
+                what the scenes table says.
+        """
+        scenes = {s["scene_id"]: s for s in self._scenes.get(object_id, ())}
+        rows = joined([part for stream in self._streams for part in stream.take(object_id)])
+        found = rows.text("scene_id")
+        keep = np.isin(found, list(scenes))
+        if self._choose is not None and keep.any():
+            keep &= self._choose(object_id, rows.grasps)
+        if not keep.all():
+            rows, found = rows.select(keep), found[keep]
+        if self._choose is not None:
+            scenes = {name: scenes[name] for name in np.unique(found).tolist()}
+        runs = rows.text("run")
+        counts = self._counts(scenes, found, runs)
+        for run in sorted(counts):
+            mine = runs == run
+            yield from self._of_run(rows if mine.all() else rows.select(mine), run, counts[run])
 
-class _Stream:
-    """The rows of one configuration and split, taken in order.
+    def _of_run(
+        self, rows: TableRows, run: str, counts: Mapping[str, Mapping[str, int]]
+    ) -> Iterator[ReleaseRows]:
+        """Rows of one run; apart where a test was run on some of them only."""
+        tests = self.release.protocols
+        tested = np.stack([rows.tested(i) for i in range(len(tests))] or [np.zeros(rows.n, bool)])
+        patterns = np.unique(tested, axis=1).T if rows.n else [self._presumed_tests(run)]
+        self._partly.update((run, key) for i, key in enumerate(tests) if not tested[i].all())
+        name = self._names.get(run, run)
+        for k, pattern in enumerate(patterns):
+            part = rows
+            if len(patterns) > 1:
+                part = rows.select((tested == np.asarray(pattern)[:, None]).all(axis=0))
+            header = Header(self.release.hands, counts=counts if k == 0 else {})
+            verdicts = {key: part.verdicts(i) for i, key in enumerate(tests) if pattern[i]}
+            yield ReleaseRows(name, part.batch(header), verdicts)
 
-    State: the row groups to come, and the rows of the last one that were not taken yet.
-    """
+    def _counts(
+        self, scenes: Mapping[str, Mapping[str, Any]], of_row: np.ndarray, run: np.ndarray
+    ) -> dict[str, dict[str, dict[str, int]]]:
+        """Attempts per run and scene. They are stored as sums over the runs: the first has them."""
+        known: dict[str, set[str]] = {name: set() for name in scenes}
+        for name, worked in set(zip(of_row.tolist(), run.tolist(), strict=True)):
+            known[name].add(worked)
+        found: dict[str, dict[str, dict[str, int]]] = {}
+        for name, scene in scenes.items():
+            attempts = json.loads(scene["attempts"])
+            runs = known[name] if self._choose else self._scene_runs.of(scene, known[name])
+            for worked in sorted(runs):
+                found.setdefault(worked, {})[name] = attempts
+                attempts = {}
+        return found
 
-    def __init__(self, release: Release, configuration: str, split: str):
-        self._where = f"{configuration} rows of split {split}"
-        self._groups = _row_groups(release, configuration, split)
-        self._waiting = next(self._groups)  # a table without rows still gives its schema
+    def _presumed_tests(self, run: str) -> list[bool]:
+        """Tests of an object without rows: a run whose rows were tested would have tested those."""
+        self._presumed.update((run, key) for key in self.release.protocols)
+        return [run in runs for runs in self._runs_with_verdicts]
 
-    def take(self, n: int) -> _Rows:
-        """The next n rows."""
-        import pyarrow as pa
+    @cached_property
+    def _runs_with_verdicts(self) -> list[set[str]]:
+        """Per test, the runs that it was run on some row of."""
+        import pyarrow.compute as pc
 
-        parts, missing = [], n
-        while missing > self._waiting.grasps.num_rows:
-            parts.append(self._waiting)
-            missing -= self._waiting.grasps.num_rows
-            following = next(self._groups, None)
-            if following is None:
-                raise Contradiction(f"scenes.parquet has more {self._where} than the tables")
-            self._waiting = following
-        parts.append(_sliced(self._waiting, 0, missing))
-        self._waiting = _sliced(self._waiting, missing, None)
-        tables = zip(*([p.grasps, *p.judged] for p in parts), strict=True)
-        grasps, *judged = [pa.concat_tables(t) for t in tables]
-        return _Rows(grasps, tuple(judged))
-
-
-def _row_groups(release: Release, configuration: str, split: str) -> Iterator[_Rows]:
-    grasps = [*(n for n in GRASP_COLUMNS if not release.header.lacks(n)), "run"]
-    judged = {"verdicts/" + "-".join(key): None for key in release.protocols}
-    for first, *others in aligned(release, {"grasps": grasps, **judged}, configuration, split):
-        yield _Rows(first, tuple(others))
-
-
-def _sliced(rows: _Rows, low: int, n: int | None) -> _Rows:
-    return _Rows(rows.grasps.slice(low, n), tuple(t.slice(low, n) for t in rows.judged))
-
-
-def _joined(
-    release: Release, object_id: str, scenes: tuple[dict, ...], parts: list[_Rows]
-) -> StoredRows:
-    import pyarrow as pa
-
-    grasps = pa.concat_tables([p.grasps for p in parts])
-    batch = GraspBatch.from_arrow(grasps.drop_columns(["run"]))
-    if np.any(batch["object_id"] != object_id):
-        raise Contradiction(f"rows of {object_id} are not where scenes.parquet has them")
-    verdicts, tested = {}, {}
-    for i, key in enumerate(release.protocols):
-        table = pa.concat_tables([p.judged[i] for p in parts])
-        tested[key] = table.column("success").is_valid().to_numpy()
-        at = table.schema.get_field_index("success")
-        filled = table.set_column(at, "success", table.column("success").fill_null(False))
-        found = GraspBatch.from_arrow(filled)
-        verdicts[key] = {n: found[n] for n in VERDICT_COLUMNS if n in found}
-    run = np.array(grasps.column("run").to_pylist(), str)
-    return StoredRows(object_id, scenes, batch, run, verdicts, tested)
+        compute: Any = pc
+        found: list[set[str]] = []
+        places = [*itertools.product(self.release.configurations, self.release.split_names)]
+        for key in self.release.protocols:
+            tables = {
+                "grasps": ["grasp_id", "run"],
+                "verdicts/" + "-".join(key): ["grasp_id", "success"],
+            }
+            runs: set[str] = set()
+            for place in places:
+                for grasps, judged in aligned(self.release, tables, *place):
+                    tested = grasps.column("run").filter(judged.column("success").is_valid())
+                    runs.update(compute.unique(tested).to_pylist())
+            found.append(runs)
+        return found
