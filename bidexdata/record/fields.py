@@ -108,8 +108,8 @@ _ALL = (
     _f("force_scale", "float32", "H", "N", "", "synth", "contacts", "newtons per unit of contact_force: to G + extrapolate (G - G_pre) the squeeze adds the joint torques J^T f of these forces, and base_lead times what the base gives way under them; 0 where it adds neither"),
     _f("steps", "int32", "", "", "", "synth", "grasps", "optimiser steps taken"),
     _f("seed", "int64", "", "", "", "synth", "grasps", "seed of the task that made the attempt"),
-    _f("selected", "bool", "", "", "", "synth", "grasps", "one of the N best attempts of its scene"),
-    _f("audit", "bool", "", "", "", "synth", "grasps", "one of the N attempts drawn before any filter"),
+    _f("selected", "bool", "", "", "", "synth", "grasps", "one of the N best attempts of its scene; imported: has a grasp"),
+    _f("audit", "bool", "", "", "", "synth", "grasps", "one of the N attempts drawn before any filter; imported: our hand cannot take it (joint_range)"),
     _f("synth_status", "int8", "", "", "", "synth", "grasps", "Status of the attempt; poses are NaN where it has none"),
     # verdicts, one set per protocol and test
     _f("success", "bool", "", "", "", "validate", "verdicts", "the grasp passed the test"),
