@@ -76,7 +76,32 @@ def figure_lines(
         lines.append(wanted + untested)
     legend = LEGEND if tested else KEPT_MEANS
     known = figures["kept"] is not None
-    return [*lines, *_by_size(figures, list(tested)), *([legend] if known else [])]
+    apart = figures.get("by_setting", {})  # releases packed before do not state it
+    if len(apart) < 2:
+        lines += _by_size(figures, list(tested))
+    for setting, found in apart.items() if len(apart) > 1 else ():
+        lines += _of_setting(setting, found, list(tested))
+    return [*lines, *([legend] if known else [])]
+
+
+def _of_setting(setting: str, found: Mapping[str, Any], tests: list[str]) -> list[str]:
+    """Counts and means of one setting, and a line per size."""
+    from bidexdata.formats.metric_text import metric_text
+    from bidexdata.record.fields import HEADLINE
+
+    run = [test for test in tests if found[f"selected_{test}"]["n"]]
+    head = f"{setting}: {counted(found['scenes'], 'scene')}, "
+    head += f"{counted(found['selected_rows'], 'selected row')}, "
+    head += counted(found["audit_rows"], "audit row")
+    if found["kept"] is not None:
+        head += f"; {share(found['kept'])} kept"
+    for test in run:
+        head += f"; test {test}: selected {percent(found[f'selected_{test}'])}"
+        if found["kept"] is not None:
+            head += f", unselected {percent(found[f'unselected_{test}'])}"
+    means = {name: {"mean": found[name]} for name in HEADLINE if found[name] is not None}
+    text = [f"{name.upper()} {metric_text(name, mean, unit=True)}" for name, mean in means.items()]
+    return ["; ".join([head, *text]), *_by_size(found, run)]
 
 
 def _of_audit(figures: Mapping[str, Any]) -> str:

@@ -20,7 +20,7 @@ def info(
     by: Annotated[
         str | None,
         typer.Option(
-            help="object, size, hand or status: a table of every metric's mean per group instead."
+            help="object, size, setting, hand or status: a table of every metric's mean per group instead."
         ),
     ] = None,
     protocol: Annotated[

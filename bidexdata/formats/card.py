@@ -97,11 +97,22 @@ def _rates(figures: Mapping[str, Any]) -> str:
         for kind in ("unselected", "selected"):
             rows.append((f"{kind.capitalize()} SUC-{test.upper()}", rate_text(rates[kind])))
         rows.append((f"Object success, test `{test}`", rate_text(rates["object_success"])))
+        rows += _rates_apart(figures["by_setting"], test)
     rows.append(("Kept", _share(figures["kept"])))
     rows.append(("Rows stored", str(figures["n"])))
     rows.append(("Selected rows", str(figures["selected_rows"])))
     rows.append(("Audit rows", str(figures["audit_rows"])))
     return _markdown(("figure", "value"), rows)
+
+
+def _rates_apart(by_setting: Mapping[str, Any], test: str) -> list[tuple[str, str]]:
+    """Rates of each setting, where there are several."""
+    return [
+        (f"{kind.capitalize()} SUC-{test.upper()}, {setting}", rate_text(found[f"{kind}_{test}"]))
+        for setting, found in by_setting.items()
+        for kind in ("unselected", "selected")
+        if len(by_setting) > 1 and found[f"selected_{test}"]["n"]
+    ]
 
 
 def _by_size(figures: Mapping[str, Any]) -> str:

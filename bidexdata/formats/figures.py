@@ -12,7 +12,7 @@ that were tested. Metrics are means over selected rows where they were measured;
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -20,10 +20,11 @@ import numpy as np
 from bidexdata.formats.attempts import AttemptTally
 from bidexdata.formats.diversity import DiversityTally, finite_vectors
 from bidexdata.formats.groups import BOUNDED, GroupTally, hands_label
+from bidexdata.formats.trials import TrialTally
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.fields import HEADLINE
 from bidexdata.record.rates import Rate, clustered_interval
-from bidexdata.record.scene import scene_parts
+from bidexdata.record.scene import SceneParts, scene_parts
 from bidexdata.wording import counted
 
 
@@ -35,14 +36,12 @@ class Tally:
 
     def __init__(self, tests: tuple[str, ...] = ("f",)):
         self.tests = tests
-        self._scenes: dict[tuple[str, str], tuple[str, int]] = {}
+        self._scenes: dict[tuple[str, str], SceneParts] = {}
         self._kept_of: set[str] = set()  # scenes with a selected row
         self._rows: Counter[str] = Counter()
         self._attempts = AttemptTally()
         self._verdicts: dict[str, Counter[str]] = {t: Counter() for t in tests}
-        # (kind, test, size) -> object -> [successes, rows, rows wanted]
-        self._trials: dict[tuple[str, str, int], dict[str, list[int]]] = defaultdict(dict)
-        self._kept: dict[int, list[int]] = defaultdict(lambda: [0, 0])
+        self._trials = TrialTally()
         self._groups = {t: GroupTally() for t in tests}
         # test -> object -> scene -> whether a selected row passed
         self._won: dict[str, dict[str, dict[str, bool]]] = {
@@ -73,55 +72,52 @@ class Tally:
         selected, audit = _flags(batch)
         touched, new = self._note_scenes(batch, run)
         self._kept_of.update(np.unique(batch["scene_id"][selected]).tolist())
-        self._add_diversity(batch, selected, audit, touched)
-        for size in sorted(set(touched.values())):
-            if grasps is not None:
-                self._kept[size][0] += _number(selected & (batch["size_mm"] == size))
-                self._kept[size][1] += grasps * sum(1 for s in new if touched[s] == size)
-            for test in self.tests:
-                if test in verdicts:
-                    self._add_trials(batch, verdicts[test], test, size, touched, new, grasps)
+        self._add_diversity(batch, selected, audit, {s.size_mm for s in touched.values()})
+        run_tests = [test for test in self.tests if test in verdicts]
+        passed = {test: _passed(batch, verdicts[test]) for test in run_tests}
+        flags = {"selected": selected, "audit": audit}
+        self._trials.add(batch, flags, passed, touched, new, grasps)
         self._rows["stored"] += len(batch)
         self._rows["selected"] += _number(selected)
         self._rows["audit"] += _number(audit)
         self._attempts.add(batch, selected)
-        for test in self.tests:
-            if test in verdicts:
-                self._verdicts[test].update(_labels(verdicts[test]["verdict_status"]))
-                passed = _passed(batch, verdicts[test])
-                chosen = batch["scene_id"][selected]
-                winners = set(chosen[passed[selected]].tolist())
-                for scene in np.unique(chosen).tolist():
-                    self._won[test][scene_parts(scene).object_id][scene] |= scene in winners
-                self._groups[test].add(
-                    *(batch["object_id"], batch["size_mm"], hands_label(batch.header)),
-                    *(passed, verdicts[test], selected),
-                )
+        for test in run_tests:
+            self._verdicts[test].update(_labels(verdicts[test]["verdict_status"]))
+            chosen = batch["scene_id"][selected]
+            winners = set(chosen[passed[test][selected]].tolist())
+            for scene in np.unique(chosen).tolist():
+                self._won[test][scene_parts(scene).object_id][scene] |= scene in winners
+            self._groups[test].add(
+                *(batch["object_id"], batch["size_mm"], batch["setting"]),
+                *(hands_label(batch.header), passed[test], verdicts[test], selected),
+            )
 
     def figures(self) -> dict[str, Any]:
         """Plain data for cards, manifests and `--json`; keys are documented in docs/conventions.md."""
-        sizes = sorted({size for _, size in self._scenes.values()})
+        places = self._trials.places
+        sizes = sorted({place.size_mm for place in places})
         first = self.tests[0]
         metrics = {test: found.metrics() for test, found in self._groups.items()}
         groups = {test: {by: self.groups(test, by) for by in BOUNDED} for test in self.tests}
         measured = next((test for test in self.tests if metrics[test]), first)
         out: dict[str, Any] = {
-            "objects": len({obj for obj, _ in self._scenes.values()}),
+            "objects": len({scene.object_id for scene in self._scenes.values()}),
             "scenes": len({scene for _, scene in self._scenes}),
             "n": self._rows["stored"],
             "selected_rows": self._rows["selected"],
             "audit_rows": self._rows["audit"],
             **self._attempts.figures(),
             "by_verdict": dict(sorted(self._verdicts[first].items())),
-            "kept": _kept(self._kept.values()),
+            "kept": self._trials.kept(places),
             **_means(metrics[measured]),
             **self._spread(None),
             "by_size": {},
+            "by_setting": {},
             "tests": {},
         }
         for test in self.tests:
-            selected = self._rate("selected", test, sizes)
-            unselected = self._rate("unselected", test, sizes)
+            selected = self._trials.rate("selected", test, places)
+            unselected = self._trials.rate("unselected", test, places)
             out[f"suc_{test}"] = selected.to_dict()["rate"]
             out["tests"][test] = {
                 "selected": selected.to_dict(),
@@ -134,14 +130,21 @@ class Tally:
         for size in sizes:
             group = groups[measured]["size"].get(str(size), {})
             out["by_size"][str(size)] = {
-                "kept": _kept([self._kept[size]]),
+                **self._trials.rates(self.tests, [p for p in places if p.size_mm == size]),
                 **self._attempts.figures(size),
                 **_means(group.get("metrics", {})),
                 **self._spread(size),
-                **{
-                    f"{kind}_{test}": self._rate(kind, test, [size]).to_dict()
-                    for test in self.tests
-                    for kind in ("selected", "unselected")
+            }
+        for setting in sorted({place.setting for place in places}):
+            group = groups[measured]["setting"].get(setting, {})
+            mine = [place for place in places if place.setting == setting]
+            out["by_setting"][setting] = {
+                "scenes": len({n for (_, n), s in self._scenes.items() if s.setting == setting}),
+                **self._trials.rows(mine),
+                **self._trials.rates(self.tests, mine),
+                **_means(group.get("metrics", {})),
+                "by_size": {
+                    str(place.size_mm): self._trials.rates(self.tests, [place]) for place in mine
                 },
             }
         return out
@@ -159,58 +162,25 @@ class Tally:
         batch: GraspBatch,
         selected: np.ndarray,
         audit: np.ndarray,
-        touched: Mapping[str, int],
+        sizes: Collection[int],
     ) -> None:
         found = finite_vectors(batch)
         if found is None:
             return
-        sizes = batch["size_mm"][found.rows]
+        of_row = batch["size_mm"][found.rows]
         for tallies, chosen in ((self._diversity, selected), (self._audit_diversity, audit)):
             mine = chosen[found.rows]
             tallies[None].add_vectors(found.vectors[mine])
-            for size in sorted(set(touched.values())):
-                tallies[size].add_vectors(found.vectors[mine & (sizes == size)])
+            for size in sorted(sizes):
+                tallies[size].add_vectors(found.vectors[mine & (of_row == size)])
 
-    def _note_scenes(self, batch: GraspBatch, run: str) -> tuple[dict[str, int], set[str]]:
-        """Sizes of the scenes of a batch, and which of them this run had not touched before."""
+    def _note_scenes(self, batch: GraspBatch, run: str) -> tuple[dict[str, SceneParts], set[str]]:
+        """The scenes of a batch, and which of them this run had not touched before."""
         names = {*batch.header.counts, *np.unique(batch["scene_id"]).tolist()}
-        touched = {scene: scene_parts(scene).size_mm for scene in sorted(names)}
+        touched = {scene: scene_parts(scene) for scene in sorted(names)}
         new = {scene for scene in touched if (run, scene) not in self._scenes}
-        for scene in new:
-            self._scenes[(run, scene)] = (scene_parts(scene).object_id, touched[scene])
+        self._scenes.update(((run, scene), touched[scene]) for scene in new)
         return touched, new
-
-    def _add_trials(
-        self,
-        batch: GraspBatch,
-        verdict: Mapping[str, np.ndarray],
-        test: str,
-        size: int,
-        touched: Mapping[str, int],
-        new: set[str],
-        grasps: int | None,
-    ) -> None:
-        selected, audit = _flags(batch)
-        passed = _passed(batch, verdict)
-        in_size = batch["size_mm"] == size
-        scenes = [scene for scene, mm in touched.items() if mm == size]
-        for obj in {scene_parts(scene).object_id for scene in scenes}:
-            mine = in_size & (batch["object_id"] == obj)
-            kept, drawn = mine & selected, mine & audit
-            self._count("selected", test, size, obj, _number(passed & kept), _number(kept))
-            if grasps is not None:
-                wanted = grasps * sum(
-                    1 for s in scenes if s in new and scene_parts(s).object_id == obj
-                )
-                wins = _number(passed & drawn)
-                self._count("unselected", test, size, obj, wins, _number(drawn), wanted)
-
-    def _count(
-        self, kind: str, test: str, size: int, obj: str, k: int, n: int, wanted: int = 0
-    ) -> None:
-        trials = self._trials[(kind, test, size)].setdefault(obj, [0, 0, 0])
-        for i, value in enumerate((k, n, wanted)):
-            trials[i] += value
 
     def _spread(self, size: int | None) -> dict[str, float | None]:
         found = self._diversity[size].value()
@@ -222,16 +192,6 @@ class Tally:
     def _object_success(self, test: str) -> Rate:
         won = [self._won[test][obj].values() for obj in sorted(self._won[test])]
         return clustered_interval([sum(scenes) for scenes in won], [len(scenes) for scenes in won])
-
-    def _rate(self, kind: str, test: str, sizes: list[int]) -> Rate:
-        objects: dict[str, list[int]] = {}
-        for size in sizes:
-            for obj, (k, n, wanted) in self._trials[(kind, test, size)].items():
-                pair = objects.setdefault(obj, [0, 0])
-                pair[0] += k
-                pair[1] += max(n, wanted)  # audit rows that a scene could not fill are failures
-        pairs = [objects[o] for o in sorted(objects)]
-        return clustered_interval([p[0] for p in pairs], [p[1] for p in pairs])
 
 
 def rows_text(figures: Mapping[str, Any]) -> str:
@@ -276,9 +236,3 @@ def _number(mask: np.ndarray) -> int:
 def _labels(statuses: np.ndarray) -> Counter[str]:
     numbers, counts = np.unique(statuses, return_counts=True)
     return Counter({Status(int(s)).label: int(c) for s, c in zip(numbers, counts, strict=True)})
-
-
-def _kept(pairs: Any) -> float | None:
-    pairs = list(pairs)
-    wanted = sum(p[1] for p in pairs)
-    return sum(p[0] for p in pairs) / wanted if wanted else None

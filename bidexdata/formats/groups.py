@@ -1,4 +1,4 @@
-"""Groups of tested grasps: success rate and mean of every metric, per object, size, hand, status.
+"""Groups of tested grasps: success rate and mean of every metric per object, size, setting and so on.
 
 Rows are the selected ones that one test was run on; per status, the audit rows too, for selection
 leaves out most of what fails. What is kept of them is, for every group and
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -21,10 +21,11 @@ from bidexdata.record.fields import METRICS
 from bidexdata.record.means import mean_interval
 from bidexdata.record.moments import NOTHING, Moments, moments_of_runs
 from bidexdata.record.rates import clustered_interval
+from bidexdata.record.scene import Setting
 
-BY = ("object", "size", "hand", "status")
+BY = ("object", "size", "setting", "hand", "status")
 """What grasps can be grouped by."""
-BOUNDED = ("size", "hand", "status")
+BOUNDED = ("size", "setting", "hand", "status")
 """Groupings of which there are few groups however large the set: these go into manifest and card."""
 
 
@@ -53,6 +54,7 @@ class GroupTally:
         self,
         object_id: np.ndarray,
         size_mm: np.ndarray,
+        setting: np.ndarray,
         hand: str,
         passed: np.ndarray,
         verdict: Mapping[str, np.ndarray],
@@ -63,6 +65,7 @@ class GroupTally:
         Args:
             object_id: Object of each row, (N,).
             size_mm: Size of each row, (N,).
+            setting: Setting of each row, (N,).
             hand: The hands of these rows, from `hands_label`.
             passed: Rows that count as successes, (N,).
             verdict: Columns that `validate` writes, each (N,); missing metrics were not measured.
@@ -71,19 +74,20 @@ class GroupTally:
         if not len(object_id):
             return
         objects, number = np.unique(object_id, return_inverse=True)
-        keys = np.stack([number, size_mm, verdict["verdict_status"], selected])
+        on_table = setting == "tabletop"
+        keys = np.stack([number, size_mm, on_table, verdict["verdict_status"], selected])
         order = np.lexsort(keys)
         keys, passed = keys[:, order], passed[order]
-        # Rows of one object, size and status, selected or not, now stand together.
+        # Rows of one object, size, setting and status, selected or not, now stand together.
         starts = [0, *(np.flatnonzero(np.diff(keys, axis=1).any(axis=0)) + 1).tolist()]
         moments = [_measured(name, verdict, order, starts) for name in METRICS]
         ends = [*starts[1:], len(order)]
         for i, (first, last) in enumerate(zip(starts, ends, strict=True)):
             wins = int(np.count_nonzero(passed[first:last]))
             cell = Cell(last - first, wins, tuple(runs[i] for runs in moments))
-            obj, size, status, chosen = (int(key) for key in keys[:, first])
-            name = str(objects[obj])
-            groups = (name, str(size), hand, Status(status).label)
+            obj, size, table, status, chosen = (int(key) for key in keys[:, first])
+            name, where = str(objects[obj]), get_args(Setting)[table]
+            groups = (name, str(size), where, hand, Status(status).label)
             for by, group in zip(BY, groups, strict=True):
                 if status == Status.NOT_RUN if by == "status" else not chosen:
                     continue

@@ -20,6 +20,7 @@ class VerdictRows(NamedTuple):
 
     object_id: np.ndarray
     size_mm: np.ndarray
+    setting: np.ndarray
     passed: np.ndarray
     """Rows that count as successes."""
     verdict: Mapping[str, np.ndarray]
@@ -40,7 +41,7 @@ def verdict_rows(
     Raises:
         Contradiction: The verdict table has other rows than the grasps table.
     """
-    names = ["grasp_id", "object_id", "size_mm", "synth_status", "selected"]
+    names = ["grasp_id", "object_id", "size_mm", "setting", "synth_status", "selected"]
     table = f"verdicts/{protocol}-{test}"
     streams = (
         release.row_groups("grasps", configuration, columns=names),
@@ -57,4 +58,5 @@ def verdict_rows(
             batch, found = batch.select(others), found.select(others)
         verdict = {name: found[name] for name in VERDICT_COLUMNS if name in found}
         passed = verdict["success"] & (batch["synth_status"] == Status.OK)
-        yield VerdictRows(batch["object_id"], batch["size_mm"], passed, verdict)
+        place = batch["object_id"], batch["size_mm"], batch["setting"]
+        yield VerdictRows(*place, passed, verdict)

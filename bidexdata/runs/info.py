@@ -253,8 +253,8 @@ def release_groups(release: Release, by: str, tests: Iterable[tuple[str, str]]) 
         for configuration in release.configurations if by == "status" else ("selected",):
             for rows in verdict_rows(release, protocol, test, configuration):
                 tally.add(
-                    *(rows.object_id, rows.size_mm, hands_label(release.header)),
-                    *(rows.passed, rows.verdict),
+                    *(rows.object_id, rows.size_mm, rows.setting),
+                    *(hands_label(release.header), rows.passed, rows.verdict),
                     np.full(len(rows.object_id), configuration == "selected"),
                 )
         found.setdefault(protocol, {})[test] = tally.groups(by)

@@ -156,7 +156,7 @@ NAMED = [
     ([*PACK, "--licences", "any"], "one of permissive, nc-ok, ids-only"),
     ([*PACK, "--split", "moon"], "one of object, category, size"),
     ([*RENDER, "--only", "beauty"], "known: success, failure"),
-    (["info", "{tmp}", "--by", "beauty"], "known: object, size, hand, status"),
+    (["info", "{tmp}", "--by", "beauty"], "known: object, size, setting, hand, status"),
     ([*SYNTH, "--set", "regions.score=beauty"], "one of random, force, torque"),
     ([*SYNTH, "--config", "{tmp}/word.yaml"], "one of random, force, torque"),
     # a key that does not exist

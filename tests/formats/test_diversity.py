@@ -112,6 +112,7 @@ def test_figures_have_the_d_of_audit_rows_beside_that_of_selected_ones():
         "scene_id": np.array(["box-1/300/float"] * 8),
         "object_id": np.array(["box-1"] * 8),
         "size_mm": np.full(8, 300, np.int32),
+        "setting": np.array(["floating"] * 8),
         "synth_status": np.full(8, Status.OK, np.int8),
         "selected": selected,
         "audit": ~selected,

@@ -12,6 +12,10 @@ from bidexdata.record import GraspBatch, Header, Status
 HEADER_HANDS = tuple(h.header() for h in made_hands())
 
 
+def _setting(scene):
+    return "floating" if scene.endswith("/float") else "tabletop"
+
+
 def batch(rows, counts=None):
     """Rows of (scene, selected, audit, status)."""
     scenes = [r[0] for r in rows]
@@ -22,6 +26,7 @@ def batch(rows, counts=None):
             "scene_id": np.array(scenes, dtype=np.str_),
             "object_id": np.array([s.split("/")[0] for s in scenes], dtype=np.str_),
             "size_mm": np.array([s.split("/")[1] for s in scenes], np.int32),
+            "setting": np.array([_setting(s) for s in scenes], dtype=np.str_),
             "selected": np.array([r[1] for r in rows], bool),
             "audit": np.array([r[2] for r in rows], bool),
             "synth_status": np.array([r[3] for r in rows], np.int8),
@@ -130,6 +135,36 @@ def test_attempts_and_energies_are_told_per_size_and_stage():
     assert large["energies"]["energy_qp"] == 5
     assert figures["energies"]["energy_qp"] == pytest.approx(8 / 3)
     assert figures["energies"]["energy_pad"] is None
+
+
+def test_settings_are_told_apart_and_together():
+    table = "box-1/300/table0"
+    tally = Tally(("f", "l"))
+    floating = batch([(A, True, True, Status.OK), (A, False, True, Status.OK)], {A: {"ok": 8}})
+    tally.add(floating, verdicts([True, False], [0.001, 0.009]), run="r", grasps=2)
+    on_table = batch([(table, True, True, Status.OK)], {table: {"ok": 1, "no_placement": 7}})
+    lifted = {"f": verdicts([False], [0.003])["f"], "l": verdicts([True])["f"]}
+    tally.add(on_table, lifted, run="s", grasps=2)
+    found = tally.figures()
+    apart = found["by_setting"]
+    assert list(apart) == ["floating", "tabletop"]
+
+    def counts(figures, key):
+        return figures[key]["k"], figures[key]["n"]
+
+    assert counts(apart["floating"], "selected_f") == (1, 1)
+    assert counts(apart["floating"], "unselected_f") == (1, 2)
+    assert counts(apart["tabletop"], "selected_f") == (0, 1)
+    assert counts(apart["tabletop"], "unselected_f") == (0, 2)  # one audit row of two wanted
+    assert counts(apart["floating"], "selected_l") == (0, 0)  # never lifted
+    assert counts(apart["tabletop"], "selected_l") == (1, 1)
+    assert [a["scenes"] for a in apart.values()] == [1, 1]
+    assert [(a["selected_rows"], a["audit_rows"]) for a in apart.values()] == [(1, 2), (1, 1)]
+    assert [a["kept"] for a in apart.values()] == [0.5, 0.5]
+    assert [a["pd"] for a in apart.values()] == pytest.approx([0.001, 0.003])
+    assert counts(found["by_size"]["300"], "selected_f") == (1, 2)
+    assert counts(apart["tabletop"]["by_size"]["300"], "selected_f") == (0, 1)
+    assert set(found["tests"]["f"]["groups"]["setting"]) == {"floating", "tabletop"}
 
 
 def test_a_scene_without_rows_counts_n_failures():

@@ -32,6 +32,7 @@ def made_columns(seed: int, n: int = 200) -> dict[str, np.ndarray]:
     columns = {
         "object_id": rng.choice(OBJECTS, n),
         "size_mm": rng.choice(np.array([300, 500, 1000], np.int32), n),
+        "setting": rng.choice(np.array(["floating", "tabletop"]), n),
         "verdict_status": rng.choice(np.array([Status.OK, Status.SLIP, Status.TURNED], np.int8), n),
         "contact_number": rng.integers(-1, 12, n).astype(np.int16),
     }
@@ -47,8 +48,8 @@ def counted(parts: Sequence[dict[str, np.ndarray]]) -> GroupTally:
     for part in parts:
         selected = part.get("selected", np.ones(len(part["pd"]), bool))
         tally.add(
-            *(part["object_id"], part["size_mm"], HANDS, part["success"], part),
-            selected,
+            *(part["object_id"], part["size_mm"], part["setting"], HANDS),
+            *(part["success"], part, selected),
         )
     return tally
 
@@ -73,6 +74,7 @@ def test_every_group_counts_its_own_rows(by):
     labels = {
         "object": columns["object_id"],
         "size": columns["size_mm"].astype(str),
+        "setting": columns["setting"],
         "hand": np.full(len(columns["pd"]), HANDS),
         "status": np.array([Status(s).label for s in columns["verdict_status"]]),
     }[by]
@@ -104,7 +106,7 @@ def test_audit_rows_count_per_status_alone_and_what_no_test_saw_in_none():
     selected = columns["verdict_status"] == Status.OK  # as selection has it, nearly
     everything_counted = counted([{**columns, "selected": selected}])
     chosen = counted([{name: column[selected] for name, column in columns.items()}])
-    for by in ("object", "size", "hand"):
+    for by in ("object", "size", "setting", "hand"):
         assert everything_counted.groups(by) == chosen.groups(by)
     assert everything_counted.metrics() == chosen.metrics()
     assert everything_counted.groups("status") == counted([columns]).groups("status")
