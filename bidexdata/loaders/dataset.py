@@ -131,7 +131,7 @@ class BiDexDataset:
 
     def __len__(self) -> int:
         """Number of grasps chosen."""
-        return len(self._index) if self._rows is None else len(self._rows)
+        return self._count if self._rows is None else len(self._rows)
 
     def __getitem__(self, index: int) -> GraspItem:
         """Give one grasp as tensors (text fields as str)."""
@@ -150,11 +150,11 @@ class BiDexDataset:
         """
         count = len(self)
         # Seen as unsigned, a negative number is a large one: one look finds both kinds of fault.
-        if len(indices) and indices.view(np.uint64).max() >= count:
+        if len(indices) and np.maximum.reduce(indices.view(np.uint64)) >= count:
             if indices.min() < -count or indices.max() >= count:
                 raise IndexError(f"this dataset has {count} grasps")
             indices = np.where(indices < 0, indices + count, indices)
-        return indices if self._rows is None else self._rows[indices]
+        return indices if self._rows is None else self._rows.take(indices)
 
     def objects_of(self, indices: Sequence[int]) -> Int[np.ndarray, " n"]:
         """`object_index` of some items, without reading them."""
@@ -169,8 +169,8 @@ class BiDexDataset:
             key: What augmentation is drawn by for each; the row when omitted.
         """
         found, text = self._source.take(rows)
-        objects = np.take(self._index.object_index, rows).astype(np.int64)
-        kind = None if self._kind is None else np.take(self._kind, rows)
+        objects = self._index.object_index.take(rows).astype(np.int64)
+        kind = None if self._kind is None else self._kind.take(rows)
         selection = Selection(rows if key is None else key, objects, kind)
         batch = self._assembly.batch(found, text, selection, self.epoch)
         if self.transform is not None:
@@ -276,6 +276,7 @@ class BiDexDataset:
     def _open(self) -> None:
         place = (self.configuration, self.split)
         self._index = self.release.row_index(*place)
+        self._count = len(self._index)
         self._scalars = ScalarColumns(self.release, *place, self._index)
         # Floating scenes have the identity pose: nothing to convert (docs/conventions.md).
         on_table = bool(self._index.tabletop.any())

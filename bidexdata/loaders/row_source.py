@@ -40,6 +40,7 @@ class RowSource:
             UnknownName: There is no such column.
         """
         self._scalars, self._index = scalars, scalars.index
+        names = tuple(dict.fromkeys(names))
         self._floats = self._open_floats(names)
         floats = {n for table in self._floats for n in table.names}
         self._sizes = "size" in names and "size" not in floats
@@ -67,7 +68,7 @@ class RowSource:
         text = {name: column.take(rows).to_pylist() for name, column in self._text.items()}
         for name in self._of_scene:
             if name == "size_mm":
-                found[name] = np.take(self._index.size_mm, rows)
+                found[name] = self._index.size_mm.take(rows)
             else:
                 text[name] = self._scene_text(name, rows)
         return found, text
