@@ -75,7 +75,16 @@ def test_exact_pieces_make_the_same_solid_and_rest_poses(prepared, small, name, 
     np.testing.assert_allclose(one.rest_probabilities, other.rest_probabilities[match], atol=0.04)
 
 
-@pytest.mark.parametrize("move", ["in millimetres", "about x", "about z", "all three"])
+@pytest.mark.parametrize(
+    "move",
+    [
+        "all three",
+        *(
+            pytest.param(m, marks=pytest.mark.slow)
+            for m in ("in millimetres", "about x", "about z")
+        ),
+    ],
+)
 def test_cut_pieces_make_nearly_the_same_solid(prepared, small, move):
     R, p, s = MOVES[move]
     one, other = prepared["mug"], prepare_object(moved(source("mug"), R, p, s), small)

@@ -39,6 +39,7 @@ def told(*arguments: str) -> str:
     ).stdout
 
 
+@pytest.mark.slow
 def test_no_kernel_is_left_to_load_when_the_limit_begins():
     assert told("first") == "remesh_shell\n"
     assert "load on device" in told()

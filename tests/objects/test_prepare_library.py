@@ -361,6 +361,7 @@ def test_listed_files_that_do_not_exist_are_rows(tmp_path, meshes, small):
     assert "the list's own folder" in report.rows[0]["reason"]
 
 
+@pytest.mark.slow
 def test_real_meshes_are_prepared_without_the_hull(tmp_path, shared):
     train = shared / "objects" / "train"
     names = ("duck.glb", "robosuite_cereal.obj", "aws_securitycamera.dae", "contactdb_table.stl")

@@ -228,6 +228,7 @@ def test_places_that_cannot_be_used_are_one_sentence(tmp_path, project):
     assert all("\n" not in str(caught.value) for caught in (missing, empty, blank))
 
 
+@pytest.mark.slow
 def test_pieces_of_real_trees_are_kept(shared, small):
     counts = {
         "core-mug-8570d9a8d24cb0acbebd3c0c0c70fb03": 27,
