@@ -49,7 +49,7 @@ def scene_spec(
 ) -> mujoco.MjSpec:
     """Assemble the scene as a spec.
 
-    Contact, gain and solver numbers are set by `scene._apply_settings`.
+    Contact, gain and solver numbers are set by `scene.apply_settings`.
 
     Args:
         hands: Hands in the order of the record's H axis.
@@ -65,7 +65,7 @@ def scene_spec(
     for index, hand in enumerate(hands):
         _add_hand(spec, hand, index, settings)
     if solid is not None:
-        _add_object(spec, solid, size, settings.density_of(solid, size))
+        add_object(spec, solid, size, settings.density_of(solid, size))
     if table:
         spec.worldbody.add_geom(
             name=TABLE_GEOM, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0]
@@ -78,7 +78,7 @@ def _add_hand(spec: mujoco.MjSpec, hand: Hand, index: int, settings: SceneSettin
     child = hand.make_spec()
     # Options of the scene are set on the compiled model: equal ones here keep `attach` quiet.
     child.option = spec.option
-    _drop_pictures(child)
+    drop_pictures(child)
     for body in child.bodies:
         body.gravcomp = settings.hand_gravity_compensation
     if settings.actuators == "joints":
@@ -91,6 +91,12 @@ def _add_hand(spec: mujoco.MjSpec, hand: Hand, index: int, settings: SceneSettin
         _weld(spec, root, hand, index, settings)
     else:
         _slide(spec, root, index, settings)
+    exclude_bodies(spec, hand, index, settings)
+
+
+def exclude_bodies(spec: mujoco.MjSpec, hand: Hand, index: int, settings: SceneSettings) -> None:
+    """Let the bodies of a hand in the scene pass each other that the settings exclude."""
+    prefix = hand_prefix(index)
     names = dict(zip(hand.plain_body_names, hand.body_names, strict=True))
     for first, second in settings.excluded_bodies:
         if first in names and second in names:
@@ -161,8 +167,8 @@ def _actuate_every_joint(child: mujoco.MjSpec, hand: Hand) -> None:
             servo.forcelimited, servo.forcerange = 1, limits[mine[0]]
 
 
-def _drop_pictures(child: mujoco.MjSpec) -> None:
-    """Remove geoms that never collide from a hand, where the body's inertia is given without them.
+def drop_pictures(child: mujoco.MjSpec) -> None:
+    """Remove geoms that never collide from a model, where the body's inertia is given without them.
 
     Their meshes are most of the time that compiling takes.
     """
@@ -178,8 +184,8 @@ def _drop_pictures(child: mujoco.MjSpec) -> None:
             child.delete(mesh)
 
 
-def _add_object(spec: mujoco.MjSpec, solid: Solid, size: float, density: float) -> None:
-
+def add_object(spec: mujoco.MjSpec, solid: Solid, size: float, density: float) -> None:
+    """Add the object on a free joint, its mass explicit."""
     body = spec.worldbody.add_body(name=OBJECT_BODY)
     body.add_freejoint(name=OBJECT_BODY)
     inertia = solid.inertia_at(size, density)

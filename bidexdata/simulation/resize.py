@@ -7,34 +7,22 @@ the compiled model. Its mass and inertia stay those of the compiled size: such a
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from bidexdata.simulation.scene import SimScene, build_scene
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bidexdata.hands.model import Hand
-    from bidexdata.objects.prepared import Solid
+from bidexdata.simulation.scene import SimScene
 
 COMPILED_SIZE = 0.5
-"""Diagonal of the object in the scene that is compiled [m]."""
+"""Diagonal of the object in the scene that is compiled [m]: always one, so that no scene depends on
+which was asked for before."""
 
 
 class SizedScenes:
     """Scenes of one object at any size, by one model that is changed in place."""
 
-    def __init__(self, hands: Sequence[Hand], solid: Solid, *, table: bool = False) -> None:
-        """Compile the scene; on a table where `table` is set.
-
-        Raises:
-            SceneNotBuilt: MuJoCo refuses the scene.
-        """
-        # Always at one size, so that no scene depends on which was asked for before.
-        self._scene = build_scene(hands, solid, COMPILED_SIZE, table=table)
-        model = self._scene.model
+    def __init__(self, scene: SimScene) -> None:
+        """Take a scene whose object has the size `COMPILED_SIZE`; it is this object's from now on."""
+        self._scene = scene
+        model = scene.model
         geoms = np.flatnonzero(self._scene.geom_owner == self._scene.object_owner)
         meshes = model.geom_dataid[geoms]
         vertices = _rows(model.mesh_vertadr[meshes], model.mesh_vertnum[meshes])

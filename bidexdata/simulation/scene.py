@@ -136,11 +136,8 @@ def build_scene(
     import mujoco
 
     settings = settings or SceneSettings()
-    if solid is not None and len(solid.pieces) > MOST_PIECES:
-        raise SceneNotBuilt(
-            f"no scene is built of {solid.object_id}: it has {len(solid.pieces)} convex pieces, "
-            f"and at most {MOST_PIECES} are simulated"
-        )
+    if solid is not None:
+        require_few_pieces(solid)
     try:
         with engine_warnings_logged():
             spec = scene_spec(hands, solid, size, settings, table=table)
@@ -149,23 +146,50 @@ def build_scene(
         name = solid.object_id if solid is not None else "no object"
         reason = str(err).splitlines()[0]
         raise SceneNotBuilt(f"no scene can be built of {name} at {size:g} m: {reason}") from err
-    scene = _index(model, mujoco.MjData(model), settings, tuple(hands), solid, size)
-    _apply_settings(scene)
+    scene = index_scene(model, mujoco.MjData(model), settings, tuple(hands), solid, size)
+    apply_settings(scene)
     return scene
 
 
-def _index(
+def require_few_pieces(solid: Solid) -> None:
+    """Refuse an object of so many pieces that compiling takes minutes.
+
+    Raises:
+        SceneNotBuilt: It has more than `MOST_PIECES`.
+    """
+    if len(solid.pieces) > MOST_PIECES:
+        raise SceneNotBuilt(
+            f"no scene is built of {solid.object_id}: it has {len(solid.pieces)} convex pieces, "
+            f"and at most {MOST_PIECES} are simulated"
+        )
+
+
+def index_scene(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     settings: SceneSettings,
     hands: tuple[Hand, ...],
     solid: Solid | None,
     size: float,
+    *,
+    floating: bool = True,
 ) -> SimScene:
+    """Find hands, object and table in a compiled scene.
+
+    Args:
+        model: The scene.
+        data: Its state.
+        settings: Numbers of the scene.
+        hands: Whose names the scene has, each with its prefix.
+        solid: The object; none for a scene without.
+        size: Its bounding-box diagonal [m].
+        floating: The hands float, on welds or slides; else something carries them that is not of
+            the scene's business, and the addresses of their roots are left empty.
+    """
     welded = settings.base == "weld"
-    bases = [base_names(i) for i in range(len(hands))]
+    bases = [base_names(i) for i in range(len(hands) * floating)]
     roots = [
-        model.joint(hand_prefix(i) + "root" if welded else bases[i][0]) for i in range(len(hands))
+        model.joint(hand_prefix(i) + "root" if welded else bases[i][0]) for i in range(len(bases))
     ]
     every_joint = settings.actuators == "joints"
     joints, actuators, finger_names = [], [], []
@@ -196,7 +220,7 @@ def _index(
         hands=hands,
         root_qpos=_ids(j.qposadr[0] for j in roots),
         root_qvel=_ids(j.dofadr[0] for j in roots),
-        mocap=_ids(model.body(mocap_name(i)).mocapid[0] for i in range(len(hands) * welded)),
+        mocap=_ids(model.body(mocap_name(i)).mocapid[0] for i in range(len(bases) * welded)),
         base_actuators=_ids(
             model.actuator(n).id for names in bases for n in (() if welded else names)
         ).reshape(-1, 6),
@@ -220,8 +244,8 @@ def _ids(numbers) -> IntArray:  # noqa: ANN001  (any iterable of numpy or Python
     return np.array([int(n) for n in numbers], dtype=np.intp)
 
 
-def _apply_settings(scene: SimScene) -> None:
-    """Write the numbers of the settings into the compiled model.
+def apply_settings(scene: SimScene) -> None:
+    """Write the numbers of the settings into the compiled model; actuators of the hands alone.
 
     On the model and not on the spec: class defaults of an attached hand would win over the
     latter, and `attach` keeps the parent's options whatever the hand's file says.

@@ -34,7 +34,8 @@ def deepest_overlaps(
         stages: Pre-grasp, grasp and squeeze of all K starts, object frame.
         finite: Which of them consist of numbers, (K,).
     """
-    from bidexdata.simulation.resize import SizedScenes
+    from bidexdata.simulation.resize import COMPILED_SIZE, SizedScenes
+    from bidexdata.simulation.scene import build_scene
 
     depths = np.full((3, len(finite)), np.nan)
     scenes: dict[bool, SizedScenes] = {}
@@ -44,7 +45,8 @@ def deepest_overlaps(
             continue
         on_table = one.scene.setting == "tabletop"
         if on_table not in scenes:
-            scenes[on_table] = SizedScenes(hands, obj, table=on_table)
+            compiled = build_scene(hands, obj, COMPILED_SIZE, table=on_table)
+            scenes[on_table] = SizedScenes(compiled)
         built = scenes[on_table].at(one.scene.size)
         depths[:, rows] = _overlaps(built, obj, one.scene, stages[0].rows(rows))
         for pose in stages[1:] if on_table else ():

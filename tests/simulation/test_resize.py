@@ -9,7 +9,7 @@ from box_solids import box_solid
 from bidexdata import prepare_object
 from bidexdata.frames import random_quat
 from bidexdata.simulation.distances import measure_distances
-from bidexdata.simulation.resize import SizedScenes
+from bidexdata.simulation.resize import COMPILED_SIZE, SizedScenes
 from bidexdata.simulation.scene import build_scene
 
 SIZES = (0.3, 0.8, 0.45, 0.3)
@@ -22,7 +22,7 @@ def solid(request):
 
 @pytest.mark.parametrize("table", [False, True])
 def test_distances_are_those_of_a_scene_compiled_at_that_size(hands, solid, table):
-    scenes = SizedScenes(hands, solid, table=table)
+    scenes = SizedScenes(build_scene(hands, solid, COMPILED_SIZE, table=table))
     rng = np.random.default_rng(0)
     touched = 0
     for size in SIZES:

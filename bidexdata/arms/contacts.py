@@ -1,0 +1,143 @@
+"""How far a robot stands from table, object and itself by MuJoCo: the final word on a path.
+
+A hand's touch is the grasp's own business: fingers on the object once they close, and overlaps of
+the hands with the table or each other that are no deeper than synthesis lets them be.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from bidexdata.arms.arm_scene import ARM, FIXTURE, ArmScene, place_joints
+from bidexdata.engine_log import engine_warnings_logged
+from bidexdata.simulation.scene import NOBODY
+
+REACH = 0.05
+"""Distances beyond this read as this [m]."""
+HANDS_MAY = 0.010
+"""Hands overlap each other no deeper in a grasp (`SelectionConfig.hands_depth`) [m]."""
+TABLE_MAY = 0.005
+"""And the table no deeper (`SelectionConfig.table_depth`) [m]."""
+TABLE, OBJECT, ARMS, ITSELF = range(4)
+"""Places of the distances in `ArmDepths`."""
+_NONE = -1
+
+
+class ArmDepths(NamedTuple):
+    """Least signed distances [m], at most the reach; negative = depth of an overlap."""
+
+    table: Float[np.ndarray, "*t"]
+    """Of arms from the table, and of hands that are in it deeper than a grasp may be."""
+    obj: Float[np.ndarray, "*t"]
+    """Of arms from the object; of hands too while they do not touch it."""
+    arms: Float[np.ndarray, "*t"]
+    """Of one arm from the other arm and its hand; of hands that are in each other too deep."""
+    itself: Float[np.ndarray, "*t"]
+    """Within one arm, from its own hand, and of arms and hands from fixtures."""
+
+
+class PairKinds(NamedTuple):
+    """What a pair of geoms counts as, by owners, and how deep it may be without counting."""
+
+    kind: NDArray[np.int64]
+    """Place in `ArmDepths`, or -1, for owners + `shift`, (O, O)."""
+    may: NDArray[np.float64]
+    """Depth that a pair of this kind may have [m]; -inf where every distance counts, (O, O)."""
+    shift: int
+
+
+def pair_kinds(arms: ArmScene, *, hands_touch: bool) -> PairKinds:
+    """Say what every pair of owners counts as.
+
+    Args:
+        arms: The scene.
+        hands_touch: Fingers may touch the object.
+    """
+    of_object = arms.scene.object_owner
+    owners = range(FIXTURE, of_object + 1)
+    kind = np.full((len(owners), len(owners)), _NONE)
+    may = np.full(kind.shape, -np.inf)
+
+    def rule(first: int, second: int, place: int, depth: float = -np.inf) -> None:
+        for a, b in ((first, second), (second, first)):
+            kind[a - FIXTURE, b - FIXTURE], may[a - FIXTURE, b - FIXTURE] = place, depth
+
+    for i in range(2):
+        arm, other = ARM - i, 1 - i
+        rule(arm, NOBODY, TABLE)
+        rule(i, NOBODY, TABLE, TABLE_MAY)
+        rule(arm, of_object, OBJECT)
+        rule(i, of_object, _NONE if hands_touch else OBJECT)
+        rule(arm, ARM - other, ARMS)
+        rule(arm, other, ARMS)
+        for own in (arm, i):
+            rule(arm, own, ITSELF)
+            rule(FIXTURE, own, ITSELF)
+    rule(0, 1, ARMS, HANDS_MAY)
+    return PairKinds(kind, may, -FIXTURE)
+
+
+def arm_distances(
+    arms: ArmScene,
+    arm_q: Float[np.ndarray, "*t 2 A"],
+    joints: Float[np.ndarray, "*s 2 J"],
+    *,
+    reach: float = REACH,
+    hands_touch: bool,
+) -> ArmDepths:
+    """Measure postures of a robot around the object where `set_arms` has put it.
+
+    Args:
+        arms: The scene; its arms and fingers are moved.
+        arm_q: Joint angles of the arms [rad].
+        joints: Of the hands [rad], as many as of the arms or one for all.
+        reach: Pairs farther apart than this are not looked for [m].
+        hands_touch: Fingers may touch the object.
+    """
+    import mujoco
+
+    model, data = arms.scene.model, arms.scene.data
+    lead = arm_q.shape[:-2]
+    postures = arm_q.reshape(-1, *arm_q.shape[-2:])
+    fingers = np.broadcast_to(joints, (*lead, *joints.shape[-2:])).reshape(-1, *joints.shape[-2:])
+    found = np.empty((len(postures), 4))
+    kinds = pair_kinds(arms, hands_touch=hands_touch)
+    owner = arms.scene.geom_owner
+    near = owner <= ARM
+    if not hands_touch:
+        near |= owner == arms.scene.object_owner
+    bodies = np.setdiff1d(model.geom_bodyid[near], [0])
+    model.geom_gap[near] = reach
+    model.body_margin[bodies] = reach  # what the broad phase reads
+    try:
+        with engine_warnings_logged():
+            for k in range(len(postures)):
+                place_joints(arms, postures[k], fingers[k])
+                mujoco.mj_kinematics(model, data)
+                mujoco.mj_comPos(model, data)
+                mujoco.mj_collision(model, data)
+                found[k] = least_distances(arms, kinds, reach)
+    finally:
+        model.geom_gap[near] = 0.0
+        model.body_margin[bodies] = 0.0
+    return ArmDepths(*(column.reshape(lead) for column in found.T))
+
+
+def least_distances(
+    arms: ArmScene, kinds: PairKinds, reach: float = 0.0
+) -> Float[np.ndarray, " 4"]:
+    """Least distances [m] over the contacts that the scene's state lists, by `ArmDepths`' places."""
+    least = np.full(5, reach)  # the last for pairs that do not count
+    contact = arms.scene.data.contact
+    geoms = contact.geom
+    if len(geoms):
+        dist = contact.dist
+        owners = arms.scene.geom_owner[geoms] + kinds.shift
+        kind = kinds.kind[owners[:, 0], owners[:, 1]]
+        counts = dist < -kinds.may[owners[:, 0], owners[:, 1]]
+        np.minimum.at(least, kind[counts], dist[counts])
+    return least[:4]
