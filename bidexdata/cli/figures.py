@@ -19,6 +19,7 @@ LEGEND = (
 _STAGE_HEADS = {
     "regions": "no region pair",
     "placement": "no start",
+    "reach": "out of reach",
     "optimisation": "not finite",
     "checks": "fails a check",
     "ok": "ok",
@@ -121,9 +122,10 @@ def attempt_lines(by_size: Mapping[str, Any]) -> list[str]:
     known = {size: found["by_stage"] for size, found in by_size.items() if found.get("by_stage")}
     if not any(sum(stages.values()) for stages in known.values()):
         return []
-    rows = [["size", "attempts", *_STAGE_HEADS.values()]]
+    heads = {n: t for n, t in _STAGE_HEADS.items() if any(n in stages for stages in known.values())}
+    rows = [["size", "attempts", *heads.values()]]
     for size, stages in known.items():
-        ended = [str(stages[name]) for name in _STAGE_HEADS]
+        ended = [str(stages.get(name, 0)) for name in heads]
         rows.append([size_text(size), str(sum(stages.values())), *ended])
     return ["where attempts ended:", *table(rows)]
 

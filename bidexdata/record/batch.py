@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bidexdata.errors import BidexError, Contradiction
-from bidexdata.record.fields import ADDED_IN, FIELDS, STAGES, Field
+from bidexdata.record.fields import ADDED_IN, FIELDS, KEY_FRAMES, STAGES, Field
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -45,6 +45,22 @@ class HandHeader:
 
 
 @dataclass(frozen=True, slots=True)
+class ArmHeader:
+    """What a reader must know of one arm to use its angles."""
+
+    rig: str
+    rig_hash: str
+    """sha256 over the rig, its models and the hands that it carries."""
+    side: str
+    joint_names: tuple[str, ...]
+    """Joints of the arm, then of the wrist: the order along A for this arm's row of the H axis."""
+    wrist_joints: int
+    """How many of them, the last ones, are the hand's."""
+    knots: tuple[int, ...]
+    """Knots of each phase, the first knot of all not counted: W = 1 + their sum."""
+
+
+@dataclass(frozen=True, slots=True)
 class Header:
     """What holds for all rows of a batch."""
 
@@ -58,16 +74,18 @@ class Header:
     schema_version: str = SCHEMA_VERSION
     extra: Mapping[str, Any] = field(default_factory=dict)
     """Keys of newer minor versions, kept as read."""
+    arms: tuple[ArmHeader, ...] = ()
+    """Of rows with arm columns, in the order of the H axis."""
 
     def lacks(self, name: str) -> bool:
         """Whether data with this header was written before the column `name` existed."""
         return name in ADDED_IN and number_of(self.schema_version) < number_of(ADDED_IN[name])
 
     def axis(self, letter: str) -> int:
-        """Length of the axis H, S, J or C, or the number that `letter` spells.
+        """Length of the axis H, S, J, C, A, K or W, or the number that `letter` spells.
 
-        J and C are at least 1, so that hands without contact points have a padded column: Parquet
-        has no lists of length zero.
+        J, C, A and W are at least 1, so that hands without contact points have a padded column:
+        Parquet has no lists of length zero.
         """
         if letter == "H":
             return len(self.hands)
@@ -77,6 +95,12 @@ class Header:
             return max([1, *(len(h.joint_names) for h in self.hands)])
         if letter == "C":
             return max([1, *(len(h.contact_names) for h in self.hands)])
+        if letter == "A":
+            return max([1, *(len(a.joint_names) for a in self.arms)])
+        if letter == "K":
+            return len(KEY_FRAMES)
+        if letter == "W":
+            return 1 + max([0, *(sum(a.knots) for a in self.arms)])
         return int(letter)
 
     def shape(self, column: Field) -> tuple[int, ...]:
@@ -84,9 +108,11 @@ class Header:
         return tuple(self.axis(a) for a in column.axes)
 
     def to_json(self) -> str:
-        """Canonical JSON of the header."""
+        """Canonical JSON of the header; without the key `arms` where there are none."""
         data = asdict(self)
         extra = data.pop("extra")
+        if not self.arms:
+            del data["arms"]
         return json.dumps({**extra, **data}, sort_keys=True, separators=(",", ":"))
 
     @classmethod
@@ -117,10 +143,21 @@ class Header:
                 )
                 for h in data["hands"]
             )
+            arms = tuple(
+                ArmHeader(
+                    rig=a["rig"],
+                    rig_hash=a["rig_hash"],
+                    side=a["side"],
+                    joint_names=tuple(a["joint_names"]),
+                    wrist_joints=a["wrist_joints"],
+                    knots=tuple(a["knots"]),
+                )
+                for a in data.get("arms", ())
+            )
         except (ValueError, KeyError, TypeError) as err:
             raise Contradiction(f"unreadable bidexdata header ({err})") from err
-        extra = {k: v for k, v in data.items() if k not in (*names, "hands")}
-        return cls(hands=hands, extra=extra, **known)
+        extra = {k: v for k, v in data.items() if k not in (*names, "hands", "arms")}
+        return cls(hands=hands, extra=extra, arms=arms, **known)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,6 +229,8 @@ class GraspBatch:
         for other in batches[1:]:
             if other.header.hands != first.header.hands:
                 raise BadRecord("batches of different hands cannot be joined")
+            if other.header.arms != first.header.arms:
+                raise BadRecord("batches of different arms cannot be joined")
             if set(other.columns) != set(first.columns):
                 odd = sorted(set(other.columns) ^ set(first.columns))
                 raise BadRecord(f"batches have different columns: {odd}")

@@ -2,7 +2,8 @@
 
 Parquet and HDF5 metadata, the documentation's table, the card and the loader are generated from
 `FIELDS`. Axes after the leading N (grasps): H sides, S stages (0 pregrasp, 1 grasp, 2 squeeze),
-J joints, C contacts; J and C are padded (NaN, or -1 for indices).
+J joints, C contacts, A joints of an arm and the wrist it carries, K key frames of its motion, W
+knots of its path; J, C and A are padded (NaN, or -1 for indices).
 """
 
 from __future__ import annotations
@@ -22,6 +23,11 @@ JUDGED = ("f", "l")
 """Those of them that can be run."""
 ON_TABLE = ("l",)
 """Those of them whose scene has the table, so that rows must be of tabletop scenes."""
+
+KEY_FRAMES = ("home", "standoff", "pregrasp", "grasp", "squeeze", "lift")
+"""Moments of the motion of two arms, the axis K."""
+PHASES = ("approach", "reach", "close", "squeeze", "lift")
+"""What the arms do between one key frame and the next."""
 
 HEADLINE = ("pd", "spd", "cdc")
 """Metrics that stand for all where there is room for few."""
@@ -111,10 +117,25 @@ _ALL = (
     _f("selected", "bool", "", "", "", "synth", "grasps", "one of the N best attempts of its scene; imported: has a grasp"),
     _f("audit", "bool", "", "", "", "synth", "grasps", "one of the N attempts drawn before any filter; imported: our hand cannot take it (joint_range)"),
     _f("synth_status", "int8", "", "", "", "synth", "grasps", "Status of the attempt; poses are NaN where it has none"),
+    # arms, one set per rig
+    _f("arm_status", "int8", "", "", "", "arms", "arms", "Status of the arms' motion: OK or what stands against it"),
+    _f("arm_joints", "float32", "H K A", "rad", "", "arms", "arms", "angles at each key frame (home, standoff, pregrasp, grasp, squeeze, lift): the arm's joints, then the wrist's, in the order of the header's arms; of a motion that failed, as far as it is known"),
+    _f("arm_path", "float32", "H W A", "rad", "", "arms", "arms", "the same at every knot of the motion, key frames included; NaN where there is none"),
+    _f("arm_time", "float32", "W", "s", "", "arms", "arms", "when both arms pass the knots, since home"),
+    _f("ik_error_pos", "float32", "H K", "m", "world", "arms", "arms", "distance of the hand frame, at the stored angles, from where the grasp has it; NaN at home"),
+    _f("ik_error_rot", "float32", "H K", "rad", "world", "arms", "arms", "angle between the same"),
+    _f("arm_step", "float32", "", "rad", "", "arms", "arms", "largest turn of a joint from knot to knot"),
+    _f("clear_table", "float32", "", "m", "", "arms", "arms", "least signed distance from arms to the table over the motion, by MuJoCo; larger ones than 0.05 m are that"),
+    _f("clear_object", "float32", "", "m", "", "arms", "arms", "the same to the object: of arms always, of hands until they close"),
+    _f("clear_arms", "float32", "", "m", "", "arms", "arms", "the same between the two arms with their hands"),
+    _f("clear_self", "float32", "", "m", "", "arms", "arms", "the same between links of one arm, and to the rig's fixtures"),
+    _f("manipulability", "float32", "H", "", "", "arms", "arms", "root of det(J J^T) at the grasp, a turn of one radian counted as 0.3 m"),
+    _f("arm_starts", "int16", "H", "", "", "arms", "arms", "starts of the inverse kinematics at the grasp"),
+    _f("arm_failed_side", "int8", "", "", "", "arms", "arms", "side that failed: 0 left, 1 right; -1 none or both"),
     # verdicts, one set per protocol and test
     _f("success", "bool", "", "", "", "validate", "verdicts", "the grasp passed the test"),
     _f("verdict_status", "int8", "", "", "", "validate", "verdicts", "Status of the test: OK or the reason of the failure"),
-    _f("failed_stage", "int8", "", "", "", "validate", "verdicts", "part of the test that failed: 0 start, 1 closing, 2 lift, 3 hold; -1 passed or not simulated"),
+    _f("failed_stage", "int8", "", "", "", "validate", "verdicts", "part of the test that failed: 0 start, 1 closing, 2 lift, 3 hold, 4 approach of the arms; -1 passed or not simulated"),
     _f("direction", "int8", "", "", "object", "validate", "verdicts", "first failing load direction of test f: 0..5 = +x -x +y -y +z -z; -1 none"),
     _f("drift_pos", "float32", "", "m", "world", "validate", "verdicts", "largest displacement of the object at a check or an early end"),
     _f("drift_rot", "float32", "", "rad", "world", "validate", "verdicts", "largest rotation of the object at a check or an early end"),
@@ -135,6 +156,7 @@ FIELDS: dict[str, Field] = {field.name: field for field in _ALL}
 ADDED_IN = {
     **dict.fromkeys(("size", "failed_stage", "q1", "qp_certificate"), "1.1"),
     **dict.fromkeys(("settled_pressed", "settled_touching", "settled_turned"), "1.2"),
+    **{field.name: "1.3" for field in _ALL if field.table == "arms"},
 }
 """Schema version that brought a column; data of earlier versions does without it."""
 

@@ -42,6 +42,15 @@ class Status(IntEnum):
 
     # arms
     NOT_REACHABLE = 50
+    IK_PREGRASP = 51
+    IK_GRASP = 52
+    IK_LIFT = 53
+    JUMP = 54
+    COLLISION_TABLE = 55
+    COLLISION_OBJECT = 56
+    COLLISION_ARMS = 57
+    COLLISION_SELF = 58
+    NO_GRASP = 59
 
     # validate
     NOT_RUN = 70
@@ -90,7 +99,16 @@ _SENTENCES = {
     Status.SELF_PENETRATION_LEFT: "the hands penetrate themselves or each other",
     Status.TABLE_PENETRATION: "a hand penetrates the table",
     Status.JOINT_RANGE: "joints lie outside the range that the hand allows",
-    Status.NOT_REACHABLE: "no arm solution reaches the palm pose",
+    Status.NOT_REACHABLE: "the arms of the rig that the run was made for cannot take the grasp",
+    Status.IK_PREGRASP: "an arm cannot reach the pre-grasp, or the stand-off before it",
+    Status.IK_GRASP: "an arm cannot reach the grasp, or the squeeze",
+    Status.IK_LIFT: "an arm cannot reach the lifted pose",
+    Status.JUMP: "an arm reaches every pose, but not by a continuous motion",
+    Status.COLLISION_TABLE: "an arm or a hand meets the table on the way",
+    Status.COLLISION_OBJECT: "an arm meets the object, or a hand does before it closes",
+    Status.COLLISION_ARMS: "the arms meet each other on the way",
+    Status.COLLISION_SELF: "an arm meets itself or what it stands on",
+    Status.NO_GRASP: "the attempt has no grasp, so no arm was asked to take it",
     Status.NOT_RUN: "the test was not run: the attempt has no grasp, or its row was left untested",
     Status.START_PENETRATION: "the pre-grasp penetrates deeper than the start check allows",
     Status.NO_CONTACT: "no hand touched the object after closing",
@@ -108,6 +126,7 @@ _SENTENCES = {
 SYNTH_STAGES = {
     "regions": (Status.NO_REGION_PAIR,),
     "placement": (Status.NO_PLACEMENT,),
+    "reach": (Status.NOT_REACHABLE,),
     "optimisation": (Status.NOT_FINITE,),
     "checks": (
         Status.PENETRATION_LEFT,
@@ -118,11 +137,15 @@ SYNTH_STAGES = {
     ),
     "ok": (Status.OK,),
 }
-"""Stages of the synthesis, and the statuses of attempts that ended there; `ok` came through."""
+"""Stages of the synthesis, and the statuses of attempts that ended there; `ok` came through. The
+stage `reach` is one of runs that are made for a rig."""
+
+ARM_STATUSES = tuple(status for status in Status if 50 <= status < 70)
+"""Statuses of arms; a verdict that has one of them and no failed stage was not simulated."""
 
 
 def by_synth_stage(counts: Mapping[str, int]) -> dict[str, int]:
-    """Add up attempts by the stage at which they ended, every stage in order.
+    """Add up attempts by the stage at which they ended, in order; `reach` only where some did.
 
     Args:
         counts: Attempts per status label.
@@ -130,10 +153,11 @@ def by_synth_stage(counts: Mapping[str, int]) -> dict[str, int]:
     >>> by_synth_stage({"ok": 5, "contact_lost": 2, "penetration_left": 1})
     {'regions': 0, 'placement': 0, 'optimisation': 0, 'checks': 3, 'ok': 5}
     """
-    return {
+    ended = {
         stage: sum(counts.get(status.label, 0) for status in statuses)
         for stage, statuses in SYNTH_STAGES.items()
     }
+    return {stage: n for stage, n in ended.items() if n or stage != "reach"}
 
 
 class TestStage(IntEnum):
@@ -146,6 +170,7 @@ class TestStage(IntEnum):
     CLOSING = 1
     LIFT = 2
     HOLD = 3
+    APPROACH = 4
 
     @property
     def label(self) -> str:

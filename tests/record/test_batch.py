@@ -13,12 +13,20 @@ from bidexdata.errors import Contradiction
 from bidexdata.record import FIELDS, GraspBatch, HandHeader, Header, Status
 from bidexdata.record.batch import (
     SCHEMA_VERSION,
+    ArmHeader,
     BadRecord,
     empty_columns,
     fill_value,
     in_metres,
 )
-from bidexdata.record.fields import SIDES, STAGES, columns_of_table, columns_written_by
+from bidexdata.record.fields import (
+    KEY_FRAMES,
+    PHASES,
+    SIDES,
+    STAGES,
+    columns_of_table,
+    columns_written_by,
+)
 
 # numpy drops trailing NULs of strings; no identity of ours holds one.
 text = st.text(st.characters(exclude_characters="\x00", exclude_categories=["Cs"]), max_size=8)
@@ -43,11 +51,17 @@ def headers(draw):
         joints = draw(st.lists(text, max_size=3, unique=True))
         contacts = draw(st.lists(text, max_size=3, unique=True))
         hands.append((draw(text), side, draw(text), tuple(joints), tuple(contacts), "palm"))
+    arms = []
+    for hand in hands if draw(st.booleans()) else ():
+        joints = tuple(draw(st.lists(text, max_size=3, unique=True)))
+        knots = tuple(draw(st.lists(st.integers(1, 4), max_size=5)))
+        arms.append((draw(text), draw(text), hand[1], joints, draw(st.integers(0, 2)), knots))
     counts = draw(st.dictionaries(text, st.dictionaries(text, st.integers(0, 9)), max_size=2))
     prints, version = {"synth": draw(text)}, draw(text)
     with drawing_nothing():
         made = tuple(HandHeader(*hand) for hand in hands)
-        return Header(made, prints, version, counts, extra={"new": [1, None]})
+        carried = tuple(ArmHeader(*arm) for arm in arms)
+        return Header(made, prints, version, counts, extra={"new": [1, None]}, arms=carried)
 
 
 @st.composite
@@ -116,6 +130,24 @@ def test_axes_follow_the_largest_hand():
     assert HEADER.shape(FIELDS["joints"]) == (2, len(STAGES), 2)
     assert HEADER.shape(FIELDS["contact_point"]) == (2, 1, 3)
     assert len(SIDES) == 2
+
+
+def test_axes_of_arms_follow_the_longest_chain_and_the_knots_of_all_phases():
+    left = ArmHeader("rig", "s", "left", ("a0", "a1", "w0"), 1, (4, 2, 1, 1, 1))
+    right = replace(left, side="right", joint_names=("a0", "a1"), wrist_joints=0)
+    header = Header((HAND, OTHER), arms=(left, right))
+    assert header.shape(FIELDS["arm_path"]) == (2, 10, 3)
+    assert header.shape(FIELDS["arm_joints"]) == (2, len(KEY_FRAMES), 3)
+    assert len(PHASES) == len(KEY_FRAMES) - 1
+    assert header.shape(FIELDS["arm_time"]) == (10,)
+    alone = GraspBatch(header, empty_columns(header, columns_of_table("arms"), 1))
+    with pytest.raises(BadRecord, match="different arms"):
+        GraspBatch.concat([alone, replace(alone, header=replace(header, arms=(left, left)))])
+
+
+def test_a_header_without_arms_names_none_and_has_axes_of_one():
+    assert "arms" not in HEADER.to_json()
+    assert HEADER.shape(FIELDS["arm_path"]) == (2, 1, 1)
 
 
 def test_a_hand_without_contacts_still_has_a_padded_column():
@@ -218,7 +250,7 @@ def test_field_metadata_reaches_the_schema():
 
 def test_the_field_table_is_sane():
     for field in FIELDS.values():
-        assert set(field.axes) <= set("HSJC") | {"3", "4"}, field.name
+        assert set(field.axes) <= set("HSJCAKW") | {"3", "4"}, field.name
         assert field.description
         assert field.name.endswith("_quat_wxyz") == (field.axes[-1:] == ("4",))
     assert "success" in columns_written_by("validate")

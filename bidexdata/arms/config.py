@@ -1,0 +1,104 @@
+"""ArmConfig: how the motion of two arms is searched, smoothed, timed and checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from bidexdata.arms.inverse_kinematics import IkConfig
+from bidexdata.config import refuse_outside
+from bidexdata.errors import BadConfig
+from bidexdata.record.fields import PHASES
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClearanceConfig:
+    """What counts as a collision."""
+
+    margin: float = 0.0
+    """Clearance by spheres below which a posture of the search collides [m]."""
+    enough: float = 0.03
+    """Clearance beyond which more does not make a posture better [m]."""
+    depth: float = 0.001
+    """Overlap that MuJoCo may find at a knot [m]."""
+    reach: float = 0.05
+    """Larger clearances are stored as this [m]."""
+
+    def __post_init__(self) -> None:
+        refuse_outside(self, "margin", -0.1, 0.1)
+        refuse_outside(self, "enough", 0, 1)
+        refuse_outside(self, "depth", 0, 0.01)
+        refuse_outside(self, "reach", 0.001, 1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PathConfig:
+    """Where the hands go, and at how many knots."""
+
+    standoff: float = 0.12
+    """From the pre-grasp back along the palm's normal [m]."""
+    lowest: float = 0.08
+    """Least height of a palm's middle over the table at the stand-off, unless it is lower before
+    [m]."""
+    lift: float = 0.10
+    """Way up after the squeeze [m] (BODex, and the paper's test l)."""
+    squeeze_palm: Literal["moves", "fixed"] = "moves"
+    """Whether the palms go on to the stored squeeze (the paper's formula on all of G), or stay at
+    the grasp and fingers alone close (BODex)."""
+    knots: tuple[int, int, int, int, int] = (32, 5, 5, 3, 5)
+    """Knots of approach, reach, close, squeeze and lift, the first knot of all not counted. Straight
+    lines in space need about one knot in two centimetres."""
+    seconds: tuple[float, float, float, float, float] = (1.0, 0.5, 0.4, 0.4, 1.0)
+    """Least time of each of them [s]; closing and squeezing as in test l."""
+    speed: float = 0.5
+    """Share of the joints' largest speeds that is used [-]."""
+    largest_step: float = 0.2
+    """Largest turn of a joint between two knots [rad]."""
+
+    def __post_init__(self) -> None:
+        refuse_outside(self, "standoff", 0.01, 1)
+        refuse_outside(self, "lowest", -1, 1)
+        refuse_outside(self, "lift", 0.001, 1)
+        refuse_outside(self, "speed", 0.01, 1)
+        refuse_outside(self, "largest_step", 0.01, 1)
+        if len(self.knots) != len(PHASES) or not all(1 <= n <= 1000 for n in self.knots):
+            raise BadConfig(
+                f"PathConfig.knots must be a number from 1 to 1000 for each of "
+                f"{', '.join(PHASES)}, not {self.knots!r}"
+            )
+        if len(self.seconds) != len(PHASES) or not all(0 < s <= 60 for s in self.seconds):
+            raise BadConfig(
+                f"PathConfig.seconds must be a time up to 60 s for each of {', '.join(PHASES)}, "
+                f"not {self.seconds!r}"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ApproachConfig:
+    """How arms come from home to the stand-off."""
+
+    combinations: int = 12
+    """Pairs of postures that are tried [-]."""
+    vias: int = 3
+    """Postures on the way that are tried where the straight line is blocked [-]."""
+    nodes: int = 400
+    """Nodes of the planner's two trees [-]; 0: no planner."""
+    step: float = 0.1
+    """Largest turn of a joint between checks of the search [rad]."""
+
+    def __post_init__(self) -> None:
+        refuse_outside(self, "combinations", 1, 1024)
+        refuse_outside(self, "vias", 0, 100)
+        refuse_outside(self, "nodes", 0, 100_000)
+        refuse_outside(self, "step", 0.01, 1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArmConfig:
+    """Everything that decides which motion a grasp gets, besides the robot."""
+
+    ik: IkConfig = field(default_factory=lambda: IkConfig(starts=32))
+    """Both arms must find a posture that is free, so there are more starts than for one target."""
+    clearance: ClearanceConfig = field(default_factory=ClearanceConfig)
+    path: PathConfig = field(default_factory=PathConfig)
+    approach: ApproachConfig = field(default_factory=ApproachConfig)

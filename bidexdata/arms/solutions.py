@@ -1,0 +1,129 @@
+"""What goes into `solve_arms` and what comes out: grasps of one scene, and the arms' columns.
+
+Frames: poses are those of the record's `hand` frame in the world.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bidexdata.arms.config import ArmConfig
+from bidexdata.arms.robot import Robot
+from bidexdata.record.batch import ArmHeader
+from bidexdata.record.fields import FIELDS, KEY_FRAMES
+from bidexdata.record.status import Status
+
+
+class Targets(NamedTuple):
+    """N grasps of one scene, float64; stages are pregrasp, grasp, squeeze."""
+
+    object_pos: Float[np.ndarray, " 3"]
+    """[m]."""
+    object_quat_wxyz: Float[np.ndarray, " 4"]
+    size: float
+    """Diagonal of the object's bounding box [m]."""
+    hand_pos: Float[np.ndarray, "N 2 3 3"]
+    """Per side and stage [m]."""
+    hand_quat_wxyz: Float[np.ndarray, "N 2 3 4"]
+    joints: Float[np.ndarray, "N 2 3 J"]
+    """Of the hands, in the order of the record [rad]."""
+
+    def select(self, rows: np.ndarray) -> Targets:
+        """Some of the grasps, by index or mask."""
+        return self._replace(
+            hand_pos=self.hand_pos[rows],
+            hand_quat_wxyz=self.hand_quat_wxyz[rows],
+            joints=self.joints[rows],
+        )
+
+
+class ArmSolutions(NamedTuple):
+    """Motions of N grasps, by the names of the record's columns; NaN where there is none."""
+
+    arm_status: Int[np.ndarray, " N"]
+    """Numbers of `Status`."""
+    arm_joints: Float[np.ndarray, "N 2 K A"]
+    """[rad]."""
+    arm_path: Float[np.ndarray, "N 2 W A"]
+    """[rad]."""
+    arm_time: Float[np.ndarray, "N W"]
+    """[s]."""
+    ik_error_pos: Float[np.ndarray, "N 2 K"]
+    """[m]."""
+    ik_error_rot: Float[np.ndarray, "N 2 K"]
+    """[rad]."""
+    arm_step: Float[np.ndarray, " N"]
+    """[rad]."""
+    clear_table: Float[np.ndarray, " N"]
+    """[m]."""
+    clear_object: Float[np.ndarray, " N"]
+    """[m]."""
+    clear_arms: Float[np.ndarray, " N"]
+    """[m]."""
+    clear_self: Float[np.ndarray, " N"]
+    """[m]."""
+    manipulability: Float[np.ndarray, "N 2"]
+    arm_starts: Int[np.ndarray, "N 2"]
+    arm_failed_side: Int[np.ndarray, " N"]
+    """0 left, 1 right, -1 none or both."""
+
+    @property
+    def ok(self) -> np.ndarray:
+        """Which grasps have a motion, (N,) bool."""
+        return self.arm_status == Status.OK
+
+    def to_columns(self) -> dict[str, np.ndarray]:
+        """The record's columns, in its dtypes."""
+        return {
+            name: np.ascontiguousarray(values, FIELDS[name].dtype)
+            for name, values in self._asdict().items()
+        }
+
+
+def no_solutions(
+    robot: Robot, config: ArmConfig, count: int, status: Status = Status.NO_GRASP
+) -> ArmSolutions:
+    """Solutions of `count` rows that have none: `status`, and NaN or 0 everywhere.
+
+    The arrays are new, to be written to row by row.
+    """
+    knots, joints = 1 + sum(config.path.knots), robot.joints
+
+    def nothing(*shape: int) -> np.ndarray:
+        return np.full((count, *shape), np.nan)
+
+    return ArmSolutions(
+        arm_status=np.full(count, int(status)),
+        arm_joints=nothing(2, len(KEY_FRAMES), joints),
+        arm_path=nothing(2, knots, joints),
+        arm_time=nothing(knots),
+        ik_error_pos=nothing(2, len(KEY_FRAMES)),
+        ik_error_rot=nothing(2, len(KEY_FRAMES)),
+        arm_step=nothing(),
+        clear_table=nothing(),
+        clear_object=nothing(),
+        clear_arms=nothing(),
+        clear_self=nothing(),
+        manipulability=nothing(2),
+        arm_starts=np.zeros((count, 2), np.int64),
+        arm_failed_side=np.full(count, -1),
+    )
+
+
+def arm_headers(robot: Robot, config: ArmConfig) -> tuple[ArmHeader, ArmHeader]:
+    """What the header of rows with these columns says of the arms, left first."""
+    left, right = (
+        ArmHeader(
+            rig=robot.rig.spec.name,
+            rig_hash=robot.digest,
+            side=arm.side,
+            joint_names=arm.chain.joint_names,
+            wrist_joints=arm.chain.wrist,
+            knots=config.path.knots,
+        )
+        for arm in robot.arms
+    )
+    return left, right
