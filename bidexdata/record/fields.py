@@ -19,10 +19,12 @@ DIRECTIONS = ("+x", "-x", "+y", "-y", "+z", "-z")
 TESTS = ("f", "l", "a")
 """Tests that a grasp may have verdicts of: force closure, lift off a table, lift with arms. In the
 order in which one stands for all where a single one is shown."""
-JUDGED = ("f", "l")
+JUDGED = ("f", "l", "a")
 """Those of them that can be run."""
-ON_TABLE = ("l",)
+ON_TABLE = ("l", "a")
 """Those of them whose scene has the table, so that rows must be of tabletop scenes."""
+WITH_ARMS = ("a",)
+"""Those of them that need the motions of two arms."""
 
 KEY_FRAMES = ("home", "standoff", "pregrasp", "grasp", "squeeze", "lift")
 """Moments of the motion of two arms, the axis K."""

@@ -12,7 +12,7 @@ from typing import Literal, get_args
 
 from bidexdata.errors import NotUsable, UnknownName
 
-from .protocols import WARP_SUFFIX, Engine, Protocol
+from .protocols import WARP_SUFFIX, Engine, Protocol, without_arms
 from .stages import Execution
 from .warp_backend import require_supported
 from .warp_worlds import engine_identity
@@ -32,14 +32,14 @@ def on_backend(protocol: Protocol, backend: str, device: str = "cpu") -> Protoco
     Raises:
         UnknownName: No back end is called so.
         MissingExtra: MuJoCo Warp is not installed.
-        NotUsable: No such device, settings that the engine does not run, or a protocol that
-            belongs to another engine.
+        NotUsable: No such device, settings that the engine does not run, a protocol that belongs
+            to another engine, or one whose only test has arms.
     """
     check_backend(protocol, backend, device)
     if backend == "mujoco" or protocol.engine is not None:
         return protocol
     return replace(
-        protocol,
+        without_arms(protocol),
         name=protocol.name + WARP_SUFFIX,
         description=f"{protocol.description}; judged by MuJoCo Warp",
         engine=engine_identity(device),

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from bidexdata.simulation.settings import SceneSettings
 
+from .arm_rules import ArmRules
 from .protocols import LiftRules, MetricRules, Protocol
 
 _PAPER = Protocol(
@@ -15,6 +16,8 @@ _PAPER = Protocol(
         "each object axis for 3 s after closing, or lifted 0.10 m off a table and held 3 s; "
         "limits 5 cm and 15 degrees"
     ),
+    tests=("f", "l", "a"),
+    arm=ArmRules(),
 )
 
 # DexGraspBench: hand_util.py, eval_func/{base,fc_mocap,tabletop_mocap}.py, assets/hand.

@@ -15,8 +15,10 @@ from typing import Any, Literal
 
 from bidexdata.config import OMIT_NONE, from_plain, load_yaml, merge, to_plain
 from bidexdata.errors import BadConfig, NotUsable, PathNotFound, UnknownName
-from bidexdata.record.fields import DIRECTIONS, JUDGED
+from bidexdata.record.fields import DIRECTIONS, JUDGED, WITH_ARMS
 from bidexdata.simulation.settings import SceneSettings
+
+from .arm_rules import ArmRules
 
 WARP_SUFFIX = "-warp"
 """How the names of protocols end whose verdicts are MuJoCo Warp's, and no others."""
@@ -100,8 +102,8 @@ class Protocol:
     """Under which verdicts are stored; other settings need another."""
     description: str
     """One sentence for `bidexdata protocols`."""
-    tests: tuple[str, ...] = JUDGED
-    """Tests that the protocol defines: f force closure, l lift off a table."""
+    tests: tuple[str, ...] = tuple(t for t in JUDGED if t not in WITH_ARMS)
+    """Tests that the protocol defines: f force closure, l lift off a table, a lift with arms."""
     scene: SceneSettings = field(default_factory=SceneSettings)
 
     start_depth: float = 0.01
@@ -138,6 +140,8 @@ class Protocol:
     """Faster than this the simulation counts as blown up [m/s]; free fall of 3 s reaches 29."""
 
     metrics: MetricRules = field(default_factory=MetricRules)
+    arm: ArmRules | None = field(default=None, metadata=OMIT_NONE)
+    """How test a drives the arms; None where the protocol has no such test."""
     engine: Engine | None = field(default=None, metadata=OMIT_NONE)
     """Whose verdicts they are; None: those of MuJoCo's C engine. `backends.on_backend` sets it."""
 
@@ -166,8 +170,10 @@ class Protocol:
                 )
         unknown = [t for t in self.tests if t not in JUDGED]
         if unknown or not self.tests:
-            known = " and ".join(JUDGED)
+            known = ", ".join(JUDGED)
             raise BadConfig(f"Protocol.tests may name {known}, not {list(self.tests)!r}")
+        if self.arm is None and set(self.tests) & set(WITH_ARMS):
+            raise BadConfig("Protocol.tests: test a needs `arm`, how the arms are driven")
         wrong = [d for d in self.directions if d not in DIRECTIONS]
         if wrong or not self.directions or len(set(self.directions)) < len(self.directions):
             known = ", ".join(DIRECTIONS)
@@ -215,6 +221,40 @@ def _require_positive(rules: object, *names: str) -> None:
         value = getattr(rules, name)
         if not 0 < value < math.inf:
             raise BadConfig(f"{type(rules).__name__}.{name} must be positive, not {value!r}")
+
+
+def without_arms(protocol: Protocol) -> Protocol:
+    """The protocol as tests of floating hands see it.
+
+    Raises:
+        NotUsable: It has no other test.
+    """
+    tests = tuple(test for test in protocol.tests if test not in WITH_ARMS)
+    if not tests:
+        raise NotUsable(f"protocol {protocol.name!r} has no test without arms")
+    return replace(protocol, tests=tests, arm=None)
+
+
+def protocol_mark(
+    protocol: Protocol, test: str, *, rig: str = "", arms: str = ""
+) -> dict[str, Any]:
+    """What verdicts of one test depend on, as plain data.
+
+    Tests of floating hands do not depend on how arms are driven, and their marks are those of
+    protocols that knew of no arms.
+
+    Args:
+        protocol: The settings.
+        test: One of its tests.
+        rig: Of a test with arms: digest of the robot.
+        arms: Fingerprint of the configuration that made the arms' motions.
+    """
+    plain = to_plain(protocol)
+    if test in WITH_ARMS:
+        return {**plain, "rig": rig, "arms": arms}
+    plain.pop("arm", None)
+    plain["tests"] = [t for t in plain["tests"] if t not in WITH_ARMS]
+    return plain
 
 
 def protocol_names() -> tuple[str, ...]:
@@ -324,11 +364,13 @@ def require_own_name(protocol: Protocol, where: str = "") -> None:
         return
     if protocol.engine is not None:  # whose description says so in words of its own
         known = replace(
-            known,
+            without_arms(known),
             name=protocol.name,
             description=protocol.description,
             engine=protocol.engine,
         )
+    if protocol.arm is None:  # stored before there were arms, or another engine's
+        known = without_arms(known)
     if protocol != known:
         raise NotUsable(
             f"{where}{protocol.name!r} is the name of a protocol with other settings; choose "

@@ -1,0 +1,44 @@
+"""ArmRules: how test a drives two arms, and what else than in test l counts as a failure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from bidexdata.errors import BadConfig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArmRules:
+    """Numbers of test a; docs/protocols.md says where they come from.
+
+    Torque limits of the motors are those of the rig.
+    """
+
+    gravity_compensation: float = 1.0
+    """Share of gravity that does not act on arms and hands [-], as controllers of arms take away
+    what gravity asks of the motors; a servo alone sags by 19 to 44 mm."""
+    arm_gain: float = 1.0
+    """Multiple of the stiffness of the servos in the arm's model; damping grows with its root [-]."""
+    wrist_gain: float = 1.0
+    """The same for wrist joints of the hand, which move with the arm [-]."""
+    settle: float = 0.2
+    """Time at the pre-grasp before the hands close [s]."""
+    wait: float = 1.0
+    """Time after the lift before the object is judged [s]: servos lag behind by a centimetre when
+    the lift ends, and by nothing a second later."""
+    depth: float = 0.001
+    """Arms may overlap table, object, each other and themselves no deeper at any step [m]."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.gravity_compensation <= 1:
+            raise BadConfig(
+                "ArmRules.gravity_compensation must be a share from 0 to 1, not "
+                f"{self.gravity_compensation!r}"
+            )
+        for name in ("arm_gain", "wrist_gain"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise BadConfig(f"ArmRules.{name} must be positive, not {getattr(self, name)!r}")
+        for name in ("settle", "wait", "depth"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise BadConfig(f"ArmRules.{name} must not be negative, got {getattr(self, name)!r}")
