@@ -24,7 +24,7 @@ JUDGED = ("f", "l", "a")
 ON_TABLE = ("l", "a")
 """Those of them whose scene has the table, so that rows must be of tabletop scenes."""
 WITH_ARMS = ("a",)
-"""Those of them that need the motions of two arms."""
+"""Those of them that need arm solutions."""
 
 KEY_FRAMES = ("home", "standoff", "pregrasp", "grasp", "squeeze", "lift")
 """Moments of the motion of two arms, the axis K."""

@@ -24,18 +24,21 @@ class Finished:
     rows: frozenset[str]
     verdicts: Mapping[Test, frozenset[str]]
     """Per test that has shards, sorted."""
+    armed: frozenset[str] = frozenset()
+    """With arm solutions, of the rig that is meant."""
 
     @classmethod
     def of(cls, run: Run) -> Finished:
         """Look at a run now."""
         planned = {t.task_id for t in run.tasks}
         # Verdicts first: whatever has one by now has its rows when these are listed.
-        folders = sorted(f for f in (run.path / "validate").glob("*/*") if f.is_dir())
-        judged = {(f.parent.name, f.name): done_tasks(f) for f in folders}
+        judged = {test: done_tasks(folder) for test, folder in run.verdict_folders().items()}
+        armed = run.armed()
         rows = done_tasks(run.stage_folder("rows"))
         return cls(
             frozenset(rows & planned),
             {test: frozenset(ids & planned) for test, ids in judged.items() if ids},
+            frozenset(armed),
         )
 
     @property

@@ -84,8 +84,10 @@ def describe_run(run: Run, by: str | None = None, protocol: str | None = None) -
     spec, finished = run.spec, Finished.of(run)
     check_protocol(finished.tests, protocol)
     stages = {run.stage_folder("rows").name: len(finished.rows)}
+    if finished.armed:
+        stages[_stage_name(run, run.arms_folder())] = len(finished.armed)
     for (name, test), tasks in finished.verdicts.items():
-        stages[f"validate/{name}/{test}"] = len(tasks)
+        stages[_stage_name(run, run.stage_folder("validate", name, test))] = len(tasks)
     protocols = [protocol] if protocol else sorted({p for p, _ in finished.tests}) or [""]
     tallies = {p: run_tally(run, finished, p) for p in protocols}
     figures = {p: run_figures(run, finished, p, *counted) for p, counted in tallies.items()}
@@ -162,6 +164,8 @@ def _imported(run: Run) -> dict[str, Any]:
 def made_with_of(run: Run, finished: Finished) -> dict[str, list[dict[str, Any]]]:
     """Devices and versions per stage, each with the number of tasks, the most used first."""
     stages = {run.stage_folder("rows"): finished.rows}
+    if finished.armed:
+        stages[run.arms_folder()] = finished.armed
     for (protocol, test), tasks in finished.verdicts.items():
         stages[run.stage_folder("validate", protocol, test)] = tasks
     found = {}
@@ -169,9 +173,12 @@ def made_with_of(run: Run, finished: Finished) -> dict[str, list[dict[str, Any]]
         marks = (read_mark(shard_path(folder, task_id)) for task_id in tasks)
         kinds = Counter(tuple(sorted(mark.made_with.items())) for mark in marks)
         ordered = sorted(kinds.items(), key=lambda kind: (-kind[1], kind[0]))
-        name = folder.relative_to(run.path).as_posix()
-        found[name] = [{"tasks": n, **dict(kind)} for kind, n in ordered]
+        found[_stage_name(run, folder)] = [{"tasks": n, **dict(kind)} for kind, n in ordered]
     return found
+
+
+def _stage_name(run: Run, folder: Path) -> str:
+    return folder.relative_to(run.path).as_posix()
 
 
 def run_figures(

@@ -2,8 +2,10 @@
 
 Layout: run.json, tasks.parquet, `synth/` (or `import/`) shards with all columns so far,
 `validate/<protocol>/<test>/` shards with `grasp_id` and verdict columns beside the protocol's
-settings in `validate/<protocol>/protocol.json`, `logs/`. Rows of later
-stages have the order of the first stage's; reading joins by position and checks the ids.
+settings in `validate/<protocol>/protocol.json`, `arms/<rig>/` shards with `grasp_id` and the arms'
+motion beside `rig.json`, `logs/`. Rows of later stages have the order of the first stage's; reading
+joins by position and checks the ids. Verdicts of tests with arms lie in
+`validate/<protocol>/a-<rig>/`; a run is opened for one rig and sees those of that rig alone.
 """
 
 from __future__ import annotations
@@ -27,15 +29,29 @@ from bidexdata.errors import (
     NotUsable,
     PathNotFound,
     SourceChanged,
+    UnknownName,
 )
 from bidexdata.kinds import MANIFEST, RUN_FILE, expect_kind
 from bidexdata.record import FIELDS, GraspBatch, Header
-from bidexdata.record.fields import columns_written_by
+from bidexdata.record.fields import WITH_ARMS, columns_written_by
+from bidexdata.runs.arm_folder import (
+    RIG_FILE,
+    arms_folder,
+    check_robot,
+    chosen_rig,
+    read_record,
+    resolve_spec,
+    rig_name,
+    rigs_in,
+    split_folder_name,
+    verdict_folder_name,
+)
 from bidexdata.runs.plan import Task, read_plan
 from bidexdata.runs.shards import done_tasks, read_shard, shard_path
 from bidexdata.runs.spec import RunSpec, read_spec
 
 if TYPE_CHECKING:
+    from bidexdata.arms.robot import Robot
     from bidexdata.hands import Hand, Side
     from bidexdata.objects.library import Library
     from bidexdata.objects.prepared import Solid
@@ -52,17 +68,57 @@ class Run:
     path: Path
     spec: RunSpec
     """What run.json says."""
+    asked_rig: str = ""
+    """Name of the rig that is meant, where the caller says."""
 
     @classmethod
-    def open(cls, path: str | Path) -> Run:
+    def open(cls, path: str | Path, *, rig: str | Path | None = None) -> Run:
         """Open a run.
+
+        Args:
+            path: Its folder.
+            rig: Whose arms are meant, a name or the path of a rig's spec; see `rig` when omitted.
 
         Raises:
             PathNotFound: There is no run at `path`.
             Contradiction: run.json is damaged or its schema is newer than this package.
+            UnknownName: The run has no arm solutions of this rig.
         """
         expect_kind(path, "run")
-        return cls(Path(path), read_spec(Path(path)))
+        run = cls(Path(path), read_spec(Path(path)))
+        return run if rig is None else run.for_rig(rig)
+
+    def for_rig(self, rig: str | Path) -> Run:
+        """Give the run as opened for another rig that it has arm solutions of.
+
+        Raises:
+            UnknownName: It has none of this rig.
+        """
+        name, known = rig_name(rig), self.arm_rigs()
+        if name not in known:
+            hint = f"`bidexdata arms {self.path} --rig {rig}` makes arm solutions"
+            raise UnknownName(f"rig with arm solutions in {self.path}", name, known, hint)
+        return dataclasses.replace(self, asked_rig=name)
+
+    def arm_rigs(self) -> tuple[str, ...]:
+        """Names of the rigs that the run has arm solutions of."""
+        return rigs_in(self.path)
+
+    @property
+    def rig(self) -> str:
+        """Name of the rig that is meant; empty where the run has no arm solutions.
+
+        That asked for; else the default one, or the only one that has solutions.
+
+        Raises:
+            NotUsable: There are several and no saying which is meant.
+        """
+        if not self.asked_rig and "rig" not in self._chosen:
+            found = chosen_rig(self.path)
+            if not found:
+                return ""  # there may be one later
+            self._chosen["rig"] = found
+        return self.asked_rig or self._chosen["rig"]
 
     @property
     def fingerprint(self) -> str:
@@ -132,7 +188,7 @@ class Run:
         """
         from bidexdata.hands import load_hand
 
-        names = [_resolve_hand(n.strip(), self.path) for n in self.spec.hand.split(",")]
+        names = [resolve_spec(n.strip(), self.path) for n in self.spec.hand.split(",")]
         hands = []
         for number, header in enumerate(self.spec.hands):
             hand = load_hand(names[min(number, len(names) - 1)], cast("Side", header.side))
@@ -142,16 +198,63 @@ class Run:
             hands.append(hand)
         return tuple(hands)
 
+    def robot(self) -> Robot:
+        """Load the rig that is meant with the run's hands, as the arm solutions were made with.
+
+        Raises:
+            NotUsable: The run has no arm solutions, or the rig's models cannot be had.
+            ConfigConflict: The rig, its models or a hand have changed since.
+        """
+        from bidexdata.arms.registry import load_rig
+        from bidexdata.arms.robot import mount_robot
+
+        record = read_record(self.path, self._rig_needed())
+        robot = mount_robot(load_rig(resolve_spec(record.rig, self.path)), self.hands())
+        check_robot(self.path, record, robot)
+        return robot
+
     def stage_folder(self, stage: str, protocol: str = "", test: str = "") -> Path:
-        """Folder of a stage's shards: `rows`, or `validate` with a protocol and a test."""
+        """Folder of a stage's shards: `rows`, `arms`, or `validate` with a protocol and a test."""
         if stage == "validate":
-            return self.path / stage / protocol / test
+            rig = self.rig if test in WITH_ARMS else ""
+            return self.path / stage / protocol / verdict_folder_name(test, rig)
+        if stage == "arms":
+            return self.arms_folder()
         return self.path / ("synth" if self.spec.kind == "synth" else "import")
+
+    def arms_folder(self) -> Path:
+        """Folder of the arm solutions of the rig that is meant.
+
+        Raises:
+            NotUsable: The run has none.
+        """
+        return arms_folder(self.path, self._rig_needed())
+
+    def verdict_folders(self) -> dict[tuple[str, str], Path]:
+        """Folders of verdicts per protocol and test, sorted; with arms, of the run's rig alone.
+
+        Nothing else looks into the folder `validate`.
+        """
+        found = {}
+        for folder in sorted(f for f in (self.path / "validate").glob("*/*") if f.is_dir()):
+            test, rig = split_folder_name(folder.name)
+            if not rig or rig == self.rig:
+                found[folder.parent.name, test] = folder
+        return found
 
     def verdict_tests(self) -> list[tuple[str, str]]:
         """The (protocol, test) pairs that have shards."""
-        folders = sorted(f for f in (self.path / "validate").glob("*/*") if f.is_dir())
-        return [(f.parent.name, f.name) for f in folders if done_tasks(f)]
+        return [test for test, folder in self.verdict_folders().items() if done_tasks(folder)]
+
+    def is_armed(self, task: Task) -> bool:
+        """Tell whether the arm solutions of one task are there, of the rig that is meant."""
+        return bool(self.rig) and shard_path(self.arms_folder(), task.task_id).is_file()
+
+    def armed(self) -> set[str]:
+        """Ids of the planned tasks whose arm solutions are there; lists the whole folder."""
+        if not self.rig:
+            return set()
+        return done_tasks(self.arms_folder()) & {t.task_id for t in self.tasks}
 
     def done(self, protocol: str | None = None, test: str = "f") -> set[str]:
         """Ids of the planned tasks whose rows (or verdicts) are there; lists the whole folder."""
@@ -189,10 +292,37 @@ class Run:
         """
         path = shard_path(self.stage_folder("validate", protocol, test), task.task_id)
         joined = GraspBatch.from_arrow(read_shard(path, self._verdict_mark(protocol, test)))
-        if not np.array_equal(joined["grasp_id"], batch["grasp_id"]):
-            raise Contradiction(f"{path}: its grasp ids are not those of the rows; delete it")
+        _same_rows(path, joined, batch)
         names = [n for n in joined.columns if FIELDS[n].written_by == "validate"]
         return {n: joined[n] for n in names}
+
+    def task_arms(self, task: Task, batch: GraspBatch) -> GraspBatch:
+        """Join the rows of one task with their arm solutions.
+
+        Args:
+            task: A task with arm solutions.
+            batch: Its rows.
+
+        Raises:
+            PathNotFound: It has no arm solutions.
+            ConfigConflict: Another run, robot or configuration made them.
+            Contradiction: The shard is damaged, or its ids are not those of the rows.
+        """
+        path = shard_path(self.arms_folder(), task.task_id)
+        joined = GraspBatch.from_arrow(read_shard(path, self.arms_mark()))
+        _same_rows(path, joined, batch)
+        names = [n for n in joined.columns if FIELDS[n].written_by == "arms"]
+        header = dataclasses.replace(batch.header, arms=joined.header.arms)
+        return GraspBatch(header, {**batch.columns, **{n: joined[n] for n in names}})
+
+    def arms_mark(self) -> str:
+        """What the shards of arm solutions carry: the run, the robot and the configuration."""
+        rig = self._rig_needed()
+        path = arms_folder(self.path, rig) / RIG_FILE
+        key = ("arms", rig, path.stat().st_mtime_ns if path.is_file() else 0)
+        if key not in self._marks:
+            self._marks[key] = read_record(self.path, rig).fingerprint
+        return self._marks[key]
 
     def batches(self, protocol: str | None = None, test: str | None = None) -> Iterator[GraspBatch]:
         """Yield the rows of every finished task in the order of the plan.
@@ -246,10 +376,21 @@ class Run:
     def _verdict_mark(self, protocol: str, test: str) -> str:
         path = self.path / "validate" / protocol / PROTOCOL_FILE
         stamp = path.stat().st_mtime_ns if path.is_file() else 0
-        if (protocol, test, stamp) not in self._marks:
-            mark = verdict_fingerprint(self, self.protocol(protocol), test)
-            self._marks[protocol, test, stamp] = mark
-        return self._marks[protocol, test, stamp]
+        key = (protocol, test if test not in WITH_ARMS else f"{test} {self.arms_mark()}", stamp)
+        if key not in self._marks:
+            self._marks[key] = verdict_fingerprint(self, self.protocol(protocol), test)
+        return self._marks[key]
+
+    def _rig_needed(self) -> str:
+        if not self.rig:
+            raise NotUsable(
+                f"{self.path} has no arm solutions; `bidexdata arms {self.path}` makes them"
+            )
+        return self.rig
+
+    @cached_property
+    def _chosen(self) -> dict[str, str]:
+        return {}  # what was found once and does not change
 
     @cached_property
     def _marks(self) -> dict[tuple[str, str, int], str]:
@@ -294,21 +435,27 @@ def join_tasks(batches: list[GraspBatch]) -> GraspBatch:
 
 
 @lru_cache(maxsize=4)
-def open_unchanged(path: str, run_fingerprint: str) -> Run:
+def open_unchanged(path: str, run_fingerprint: str, rig: str | None = None) -> Run:
     """Open the run that a worker's task belongs to, once per worker.
+
+    Args:
+        path: Its folder.
+        run_fingerprint: Of the run that the command started with.
+        rig: Name of the rig whose arms are meant, where there are arms.
 
     Raises:
         NotUsable: It is not the run that the command started with.
     """
-    run = Run.open(path)
+    run = Run.open(path, rig=rig)
     if run.fingerprint != run_fingerprint:
         raise NotUsable(f"{path} changed while it was being worked on")
     return run
 
 
 def verdict_fingerprint(run: Run, protocol: Protocol, test: str) -> str:
-    """What a validate shard carries: run, protocol settings and test."""
-    return fingerprint([run.fingerprint, to_plain(protocol), test])
+    """What a validate shard carries: run, protocol settings and test, and with arms their mark."""
+    arms = [run.arms_mark()] if test in WITH_ARMS else []
+    return fingerprint([run.fingerprint, to_plain(protocol), test, *arms])
 
 
 def verdict_batch(
@@ -320,7 +467,6 @@ def verdict_batch(
     return GraspBatch(lean, {"grasp_id": grasp_id, **ordered})
 
 
-def _resolve_hand(name: str, run: Path) -> str:
-    if name.endswith((".yaml", ".yml")):
-        return str((run / name).resolve())
-    return name
+def _same_rows(path: Path, joined: GraspBatch, batch: GraspBatch) -> None:
+    if not np.array_equal(joined["grasp_id"], batch["grasp_id"]):
+        raise Contradiction(f"{path}: its grasp ids are not those of the rows; delete it")
