@@ -49,6 +49,10 @@ class PairKinds(NamedTuple):
     """Depth that a pair of this kind may have [m]; -inf where every distance counts, (O, O)."""
     shift: int
 
+    def of_arms_alone(self) -> PairKinds:
+        """Without the pairs of hands that may overlap."""
+        return self._replace(kind=np.where(np.isfinite(self.may), _NONE, self.kind))
+
 
 def pair_kinds(arms: ArmScene, *, hands_touch: bool) -> PairKinds:
     """Say what every pair of owners counts as.

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
 
-from bidexdata.config import differing_keys
 from bidexdata.errors import NotUsable
 from bidexdata.formats.citation import About
 from bidexdata.formats.licences import IDS_ONLY, POLICIES
@@ -24,6 +23,7 @@ from bidexdata.formats.stored_parts import StoredParts, run_infos, tests_of
 from bidexdata.formats.stored_rows import Choose, StoredRows
 from bidexdata.formats.writer import Form, ReleaseSummary, check_names
 from bidexdata.record.batch import SCHEMA_VERSION
+from bidexdata.record.settings import differing_settings, fuller_settings
 
 How = Literal["migrate", "merge", "split", "subset"]
 
@@ -233,12 +233,13 @@ def _protocols(releases: Sequence[Release]) -> dict[str, Any]:
     for release in releases:
         for name, settings in release.protocol_settings.items():
             where, known = found.setdefault(name, (release.path, settings))
-            differing = differing_keys(known, settings)
+            differing = differing_settings(known, settings)
             if differing:
                 raise NotUsable(
                     f"{release.path} and {where} have verdicts of different protocols called "
                     f"{name!r} ({differing[0]}); they cannot be one release"
                 )
+            found[name] = (where, fuller_settings(known, settings))
     return {name: settings for name, (_, settings) in sorted(found.items())}
 
 

@@ -13,7 +13,7 @@ from bidexdata.formats.row_groups import aligned
 from bidexdata.formats.row_index import RowIndex
 from bidexdata.formats.tables import of_first_test
 from bidexdata.record import GraspBatch, Status
-from bidexdata.record.fields import JUDGED, MEASURED, TESTS
+from bidexdata.record.fields import JUDGED, MEASURED, TESTS, WITH_ARMS
 from bidexdata.wording import counted
 
 if TYPE_CHECKING:
@@ -120,6 +120,9 @@ def verdicts(release: Release, resimulate: Resimulate, sample: int, seed: int) -
     said = []
     for test in JUDGED:
         if (name, test) not in release.protocols:
+            continue
+        if test in WITH_ARMS:
+            notes[f"; test {test} not, for a release has no models of arms"] = None
             continue
         chosen = _drawn(release, test, sample, rng)
         for configuration, rows in chosen.items():

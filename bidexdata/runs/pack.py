@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
-from bidexdata.config import differing_keys, to_plain
+from bidexdata.config import to_plain
 from bidexdata.errors import NotUsable
 from bidexdata.record.scene import scene_parts
+from bidexdata.record.settings import differing_settings, fuller_settings
 from bidexdata.runs.chosen import DEFAULT_PROTOCOL, chosen_protocol
 from bidexdata.runs.finished import Finished, Test
 from bidexdata.runs.pack_objects import in_processes
@@ -292,12 +293,13 @@ def _protocols(runs: Sequence[NamedRun], tests: Sequence[Test]) -> dict[str, Any
                 continue
             mine = to_plain(one.run.protocol(name))
             first, known = found.setdefault(name, (one.run.path, mine))
-            differing = differing_keys(known, mine)
+            differing = differing_settings(known, mine)
             if differing:
                 raise NotUsable(
                     f"{one.run.path} and {first} have verdicts of different protocols called "
                     f"{name!r} ({differing[0]}); validate one of them again under another name"
                 )
+            found[name] = (first, fuller_settings(known, mine))
     return {name: settings for name, (_, settings) in sorted(found.items())}
 
 

@@ -34,6 +34,7 @@ from bidexdata.errors import (
 from bidexdata.kinds import MANIFEST, RUN_FILE, expect_kind
 from bidexdata.record import FIELDS, GraspBatch, Header
 from bidexdata.record.fields import WITH_ARMS, columns_written_by
+from bidexdata.record.settings import settings_of_test
 from bidexdata.runs.arm_folder import (
     RIG_FILE,
     arms_folder,
@@ -455,7 +456,8 @@ def open_unchanged(path: str, run_fingerprint: str, rig: str | None = None) -> R
 def verdict_fingerprint(run: Run, protocol: Protocol, test: str) -> str:
     """What a validate shard carries: run, protocol settings and test, and with arms their mark."""
     arms = [run.arms_mark()] if test in WITH_ARMS else []
-    return fingerprint([run.fingerprint, to_plain(protocol), test, *arms])
+    settings = settings_of_test(to_plain(protocol), test)
+    return fingerprint([run.fingerprint, settings, test, *arms])
 
 
 def verdict_batch(

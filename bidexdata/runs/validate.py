@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from bidexdata.config import differing_keys, from_plain, to_plain
+from bidexdata.config import from_plain, to_plain
 from bidexdata.errors import ConfigConflict, NotUsable
 from bidexdata.extras import require
 from bidexdata.record import Status
-from bidexdata.record.fields import ON_TABLE
+from bidexdata.record.fields import ON_TABLE, WITH_ARMS
+from bidexdata.record.settings import differing_settings, fuller_settings
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.plan import Task
 from bidexdata.runs.run import (
@@ -59,7 +60,7 @@ def validate_run(
     backend: Backend = "mujoco",
     device: str = "cpu",
 ) -> dict[str, StageReport]:
-    """Test every finished task of a run that is not tested yet.
+    """Test every finished task of a run that is not tested yet; with arms those that have motions.
 
     The verdicts are stored under the protocol that `on_backend` gives: `paper-1` on `mujoco_warp`
     is `paper-1-warp`. Unless `execution` says how many, one worker drives the device.
@@ -101,9 +102,18 @@ def validate_run(
         raise NotUsable(f"{run.path} has no finished task yet; run `bidexdata synth` first")
     run.check_source()
     _store_protocol(run, protocol)
-    tasks = [t for t in execution.part_of(run.tasks) if t.task_id in have]
+    mine = execution.part_of(run.tasks)
+    ready = {test: have & run.armed() if test in WITH_ARMS else have for test in names}
     return {
-        test: _run_test(run, protocol, test, tasks, execution, tuple(extras), device)
+        test: _run_test(
+            run,
+            protocol,
+            test,
+            [t for t in mine if t.task_id in ready[test]],
+            execution,
+            tuple(extras),
+            device,
+        )
         for test in names
     }
 
@@ -136,8 +146,8 @@ def allowed_tests(run: Run, protocol: Protocol, asked: Sequence[str]) -> tuple[s
     """Tests to run: those asked for, or all that the protocol defines and the rows allow.
 
     Raises:
-        NotUsable: The protocol does not define one that is asked for, the rows do not allow it, or
-            they allow none.
+        NotUsable: The protocol does not define one that is asked for, the rows do not allow it, it
+            needs motions of arms that the run does not have, or they allow none.
     """
     from bidexdata.validation.protocols import require_test
 
@@ -147,29 +157,46 @@ def allowed_tests(run: Run, protocol: Protocol, asked: Sequence[str]) -> tuple[s
             f"protocol {protocol.name!r} has no test for {run.spec.setting} rows, which are all "
             f"that {run.path} has; it has: {', '.join(protocol.tests)}"
         )
+    armed = bool(set(here) & set(WITH_ARMS)) and bool(run.armed())
     if not asked:
-        return tuple(here)
+        possible = tuple(t for t in here if armed or t not in WITH_ARMS)
+        if not possible:
+            raise NotUsable(_needs_arms(run, here[0]))
+        return possible
     for test in asked:
         require_test(protocol, test)
         if test not in here:
             raise NotUsable(f"test {test!r} cannot be run on {run.spec.setting} rows of {run.path}")
+        if test in WITH_ARMS and not armed:
+            raise NotUsable(_needs_arms(run, test))
     return tuple(dict.fromkeys(asked))
+
+
+def _needs_arms(run: Run, test: str) -> str:
+    return (
+        f"test {test!r} needs the motions of arms, and {run.path} has none; `bidexdata arms "
+        f"{run.path}` makes them"
+    )
 
 
 def _store_protocol(run: Run, protocol: Protocol) -> None:
     """Write the settings beside the verdicts, or check that they are the same.
 
+    What is there from before there were arms gets the rules of the arms added.
+
     Raises:
         ConfigConflict: The run has verdicts of other settings under this name.
     """
     path = run.path / "validate" / protocol.name / PROTOCOL_FILE
+    settings = to_plain(protocol)
     if path.is_file():
         known = to_plain(run.protocol(protocol.name))
-        differing = differing_keys(known, to_plain(protocol))
+        differing = differing_settings(known, settings)
         if differing:
             raise ConfigConflict(path.parent, differing)
-        return
-    write_text(path, json.dumps(to_plain(protocol), indent=1, sort_keys=True) + "\n")
+        if fuller_settings(known, settings) is known:
+            return
+    write_text(path, json.dumps(settings, indent=1, sort_keys=True) + "\n")
 
 
 def _run_test(
@@ -197,6 +224,7 @@ def _run_test(
             _validate_task,
             str(run.path),
             run.fingerprint,
+            run.rig if test in WITH_ARMS else None,
             to_plain(protocol),
             test,
             extras,
@@ -225,6 +253,7 @@ def _extras_of(path: Path, mark: str) -> set[Extra]:
 def _validate_task(
     run_path: str,
     run_fingerprint: str,
+    rig: str | None,
     protocol_data: dict,
     test: str,
     extras: tuple[Extra, ...],
@@ -234,7 +263,7 @@ def _validate_task(
     from bidexdata.validation.protocols import Protocol
     from bidexdata.validation.validate import validate_grasps
 
-    run = open_unchanged(run_path, run_fingerprint)
+    run = open_unchanged(run_path, run_fingerprint, rig)
     log_to(run.path / "logs")
     start, cpu = time.monotonic(), time.process_time()
     protocol = from_plain(Protocol, protocol_data)
@@ -245,12 +274,14 @@ def _validate_task(
     extras = tuple(sorted({*extras, *had}))
     how = _how(extras)
     batch = run.task_batch(task)
+    armed = test in WITH_ARMS
     columns = validate_grasps(
-        batch,
+        run.task_arms(task, batch) if armed else batch,
         run.load_solid(task.object_id),
         run.hands(),
         protocol,
         test,
+        robot=run.robot() if armed else None,
         execution=how,
         backend=protocol.backend,
         device=device,

@@ -41,4 +41,6 @@ class ArmRules:
                 raise BadConfig(f"ArmRules.{name} must be positive, not {getattr(self, name)!r}")
         for name in ("settle", "wait", "depth"):
             if not 0 <= getattr(self, name) < math.inf:
-                raise BadConfig(f"ArmRules.{name} must not be negative, got {getattr(self, name)!r}")
+                raise BadConfig(
+                    f"ArmRules.{name} must not be negative, got {getattr(self, name)!r}"
+                )

@@ -16,6 +16,7 @@ from typing import Any, Literal
 from bidexdata.config import OMIT_NONE, from_plain, load_yaml, merge, to_plain
 from bidexdata.errors import BadConfig, NotUsable, PathNotFound, UnknownName
 from bidexdata.record.fields import DIRECTIONS, JUDGED, WITH_ARMS
+from bidexdata.record.settings import settings_of_test
 from bidexdata.simulation.settings import SceneSettings
 
 from .arm_rules import ArmRules
@@ -235,26 +236,9 @@ def without_arms(protocol: Protocol) -> Protocol:
     return replace(protocol, tests=tests, arm=None)
 
 
-def protocol_mark(
-    protocol: Protocol, test: str, *, rig: str = "", arms: str = ""
-) -> dict[str, Any]:
-    """What verdicts of one test depend on, as plain data.
-
-    Tests of floating hands do not depend on how arms are driven, and their marks are those of
-    protocols that knew of no arms.
-
-    Args:
-        protocol: The settings.
-        test: One of its tests.
-        rig: Of a test with arms: digest of the robot.
-        arms: Fingerprint of the configuration that made the arms' motions.
-    """
-    plain = to_plain(protocol)
-    if test in WITH_ARMS:
-        return {**plain, "rig": rig, "arms": arms}
-    plain.pop("arm", None)
-    plain["tests"] = [t for t in plain["tests"] if t not in WITH_ARMS]
-    return plain
+def protocol_mark(protocol: Protocol, test: str) -> dict[str, Any]:
+    """Give what verdicts of one test depend on, as plain data; see `record.settings`."""
+    return settings_of_test(to_plain(protocol), test)
 
 
 def protocol_names() -> tuple[str, ...]:

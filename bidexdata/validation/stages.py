@@ -6,6 +6,7 @@ control change, check or look at the rest rule; MuJoCo steps in between.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -31,6 +32,14 @@ WATCH_STEPS = 10
 """Steps between two looks of a `Watch`, fewer where a check comes sooner."""
 
 
+class EveryStep:
+    """A `Watch` of this class looks after every single step."""
+
+    def __call__(self, phase: str, lasted: float, scene: SimScene) -> None:
+        """Look."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Execution:
     """Choices of how to run a protocol that cost time or save it, and are no part of it.
@@ -52,6 +61,19 @@ class Execution:
     """Compute Q1 and the QP certificate too."""
 
 
+class Motion(NamedTuple):
+    """How two arms take the hands along a grasp; float64."""
+
+    status: Status
+    """OK, or why there is none."""
+    path: FloatArray
+    """Joint angles at W knots, arm then wrist, padded beyond a shorter chain [rad], (2, W, A)."""
+    time: FloatArray
+    """When both arms pass them, since home [s], (W,)."""
+    knots: tuple[int, ...]
+    """Knots of each phase of `record.fields.PHASES`, the first knot of all not counted."""
+
+
 class Grasp(NamedTuple):
     """One grasp and where its object is; float64, world frame."""
 
@@ -65,6 +87,8 @@ class Grasp(NamedTuple):
     """(H, S, 4)."""
     joints: FloatArray
     """(H, S, J) [rad]."""
+    motion: Motion | None = None
+    """Of arms, where the hands are on some."""
 
 
 class ControlPath(NamedTuple):
@@ -126,11 +150,11 @@ def close_hands(
     watch: Watch | None = None,
 ) -> None:
     """Go from pre-grasp over grasp to squeeze from the scene's present state."""
-    looks = _Looks("closing", watch)
+    looks = Looks("closing", watch)
     for pos, quat, ctrl in zip(*closing_path(scene, protocol, grasp), strict=True):
         scene.data.ctrl[:] = ctrl
         set_targets(scene, pos, quat)
-        if not _advance(scene, protocol, protocol.segment_steps, execution, looks):
+        if not advance(scene, protocol, protocol.segment_steps, execution, looks):
             return
 
 
@@ -141,7 +165,7 @@ def wait_for_load(
     if protocol.load_after is not None:
         steps = round(protocol.load_after / scene.model.opt.timestep)
         closed = 2 * protocol.segment_changes * protocol.segment_steps
-        _advance(scene, protocol, steps, execution, _Looks("closing", watch, closed))
+        advance(scene, protocol, steps, execution, Looks("closing", watch, closed))
 
 
 def lift_hands(
@@ -152,30 +176,37 @@ def lift_hands(
     watch: Watch | None = None,
 ) -> None:
     """Raise the hands' targets from the squeeze; controls of the fingers stay."""
-    looks = _Looks("lift", watch)
+    looks = Looks("lift", watch)
     for pos in lift_path(protocol, grasp):
         set_targets(scene, pos, grasp.hand_quat[:, 2])
-        if not _advance(scene, protocol, protocol.lift.steps, execution, looks):
+        if not advance(scene, protocol, protocol.lift.steps, execution, looks):
             return
 
 
 @dataclass(slots=True)
-class _Looks:
+class Looks:
     """A watch in one phase, which may be none, and how many steps of the phase are done."""
 
     phase: str
     watch: Watch | None
     done: int = 0
 
+    @property
+    def every(self) -> int:
+        """Steps between two looks."""
+        if self.watch is None:
+            return sys.maxsize
+        return 1 if isinstance(self.watch, EveryStep) else WATCH_STEPS
 
-def _advance(
-    scene: SimScene, protocol: Protocol, steps: int, execution: Execution, looks: _Looks
+
+def advance(
+    scene: SimScene, protocol: Protocol, steps: int, execution: Execution, looks: Looks
 ) -> bool:
     """Step; whether the simulation is still sane at the end."""
     end = looks.done + steps
     while looks.done < end:
         left = end - looks.done
-        chunk = left if looks.watch is None else min(left, WATCH_STEPS)
+        chunk = min(left, looks.every)
         scene.step(chunk, plain=execution.plain)
         looks.done += chunk
         if looks.watch is not None:
@@ -212,12 +243,12 @@ def hold(
     first = round(rules.start / timestep)
     per_check = protocol.steps_per_check
     largest = [0.0, 0.0]
-    looks = _Looks("hold", watch)
+    looks = Looks("hold", watch)
     step = 0
     while step < checks * per_check:
         to_check = per_check - step % per_check
         chunk = min(to_check, look - step % look) if stops else to_check
-        sane = _advance(scene, protocol, chunk, execution, looks)
+        sane = advance(scene, protocol, chunk, execution, looks)
         step += chunk
         is_check = step % per_check == 0
         may_stop = stops and step % look == 0 and step >= first

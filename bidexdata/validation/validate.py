@@ -2,33 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bidexdata.arms.arm_scene import build_arm_scene
+from bidexdata.arms.chain import chain_forward
+from bidexdata.arms.robot import Robot
 from bidexdata.engine_log import engine_warnings_logged
 from bidexdata.errors import NotUsable
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import Solid
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.batch import empty_columns, in_metres
-from bidexdata.record.fields import OF_TEST, ON_TABLE, columns_written_by
+from bidexdata.record.fields import OF_TEST, ON_TABLE, WITH_ARMS, columns_written_by
 from bidexdata.simulation.scene import SceneNotBuilt, SimScene, build_scene
 
 from .analytic import analytic_metrics
+from .arm_lift import ArmTest, lift_with_arms, servo_settings
 from .backends import Backend, check_backend
 from .force_closure import force_closure
 from .lift import lift
 from .metrics import grasp_metrics, measure
 from .protocols import Protocol, require_test
 from .stages import Execution as Execution
-from .stages import Grasp
+from .stages import Grasp, Motion
 from .verdict import Verdict
 from .warp_backend import warp_verdicts
 
-TESTS = {"f": force_closure, "l": lift}
-"""How each test is run that `record.fields.JUDGED` names."""
+TESTS: dict[str, Callable[..., Verdict]] = {"f": force_closure, "l": lift, "a": lift_with_arms}
+"""How each test is run that `record.fields.JUDGED` names, on what `scene_of_rows` or
+`arm_test_of_rows` gives."""
 
 FARTHEST = 1000.0
 """Poses beyond this are refused [m]: float32 then resolves less than 0.1 mm."""
@@ -36,6 +41,8 @@ LARGEST_JOINT = 100.0
 """Joint angles beyond this are refused [rad]."""
 QUAT_TOLERANCE = 1e-3
 """A stored quaternion's length may differ from 1 by this much (float32 gives 1e-7)."""
+LIFT_TOLERANCE = 0.002
+"""Arms lift as high as the protocol says, to this [m]."""
 
 
 def validate_grasps(
@@ -45,6 +52,7 @@ def validate_grasps(
     protocol: Protocol,
     test: str = "f",
     *,
+    robot: Robot | None = None,
     execution: Execution | None = None,
     backend: Backend = "mujoco",
     device: str = "cpu",
@@ -62,6 +70,8 @@ def validate_grasps(
         hands: The hands in the order of the header's.
         protocol: The settings.
         test: Which of the protocol's tests.
+        robot: The arms that made the batch's columns of arms; needed for test a. A row that they
+            do not reach fails it, with the status of its arms.
         execution: Early ends and whose noslip pass, both on when omitted, and what is measured
             besides: then nothing.
         backend: The engine that judges: `mujoco`, or `mujoco_warp` for GPUs.
@@ -72,13 +82,15 @@ def validate_grasps(
         without a grasp get status NOT_RUN.
 
     Raises:
-        NotUsable: The protocol lacks the test, object or hands are not those of the batch, or
-            the back end cannot judge by the protocol here.
+        NotUsable: The protocol lacks the test, object, hands or arms are not those of the batch,
+            or the back end cannot judge by the protocol here.
         MissingExtra: MuJoCo Warp is asked for and not installed.
         ContactOverflow: MuJoCo Warp has no room for the contacts of a grasp.
     """
     require_test(protocol, test)
     _require_same(batch, solid, hands)
+    if test in WITH_ARMS:
+        _require_arms(batch, robot, protocol)
     execution = execution or Execution()
     check_backend(protocol, backend, device, execution)
     columns = empty_columns(batch.header, columns_written_by("validate"), len(batch))
@@ -88,7 +100,13 @@ def validate_grasps(
     for size in np.unique(batch.size[runnable]):
         rows = np.flatnonzero(runnable & (batch.size == size))
         try:
-            scene = scene_of_rows(batch.select(batch.size == size), solid, hands, protocol, test)
+            at_size = batch.select(batch.size == size)
+            if test in WITH_ARMS:
+                assert robot is not None
+                scenes = arm_test_of_rows(at_size, solid, robot, protocol)
+                scene = scenes.floating
+            else:
+                scenes = scene = scene_of_rows(at_size, solid, hands, protocol, test)
         except SceneNotBuilt:
             columns["verdict_status"][rows] = Status.NO_SCENE
             continue
@@ -97,7 +115,7 @@ def validate_grasps(
             for row, grasp in zip(rows, grasps, strict=True):
                 _write_metrics(columns, int(row), scene, protocol, grasp, execution)
             if backend == "mujoco":
-                verdicts = [TESTS[test](scene, protocol, g, execution) for g in grasps]
+                verdicts = [TESTS[test](scenes, protocol, g, execution) for g in grasps]
             else:
                 verdicts = warp_verdicts(
                     scene, protocol, grasps, test, device=device, execution=execution
@@ -110,7 +128,7 @@ def validate_grasps(
 def scene_of_rows(
     batch: GraspBatch, solid: Solid, hands: Sequence[Hand], protocol: Protocol, test: str
 ) -> SimScene:
-    """Compile the scene of rows of one size.
+    """Compile the scene of rows of one size, hands on welds.
 
     Raises:
         SceneNotBuilt: MuJoCo refuses the scene.
@@ -119,14 +137,36 @@ def scene_of_rows(
     return build_scene(hands, solid, size, protocol.scene, table=test in ON_TABLE)
 
 
+def arm_test_of_rows(batch: GraspBatch, solid: Solid, robot: Robot, protocol: Protocol) -> ArmTest:
+    """Compile the scenes of test a of rows of one size.
+
+    Raises:
+        SceneNotBuilt: MuJoCo refuses a scene.
+    """
+    assert protocol.arm is not None
+    floating = scene_of_rows(batch, solid, robot.hands, protocol, "a")
+    size, servos = in_metres(batch.size[0]), servo_settings(protocol.arm)
+    return ArmTest(floating, build_arm_scene(robot, solid, size, protocol.scene, servos))
+
+
 def grasp_of(batch: GraspBatch, row: int) -> Grasp:
-    """Read one row in float64, quaternions made exactly unit."""
+    """Read one row in float64, quaternions made exactly unit; the motion of arms where it has one."""
     return Grasp(
         batch.object_pos[row].astype(np.float64),
         _unit(batch.object_quat_wxyz[row]),
         batch.hand_pos[row].astype(np.float64),
         _unit(batch.hand_quat_wxyz[row]),
         batch.joints[row].astype(np.float64),
+        _motion_of(batch, row) if batch.header.arms else None,
+    )
+
+
+def _motion_of(batch: GraspBatch, row: int) -> Motion:
+    return Motion(
+        Status(int(batch["arm_status"][row])),
+        batch["arm_path"][row].astype(np.float64),
+        batch["arm_time"][row].astype(np.float64),
+        batch.header.arms[0].knots,
     )
 
 
@@ -198,3 +238,28 @@ def _require_same(batch: GraspBatch, solid: Solid, hands: Sequence[Hand]) -> Non
             f"the grasps were made with hands {[h.name for h in batch.header.hands]} whose joints "
             f"differ from those of {[h.name for h in hands]}"
         )
+
+
+def _require_arms(batch: GraspBatch, robot: Robot | None, protocol: Protocol) -> None:
+    """Refuse rows without arms, or with the motions of others or of another height."""
+    arms = batch.header.arms
+    if robot is None or not arms:
+        raise NotUsable(
+            "a test with arms needs the arms' motions and their robot: `bidexdata arms` makes them"
+        )
+    if [arm.rig_hash for arm in arms] != [robot.digest] * 2:
+        raise NotUsable(
+            f"the arms' motions were made with another rig than {robot.rig.spec.name!r}, or with "
+            "other hands"
+        )
+    ok = np.flatnonzero(batch["arm_status"] == Status.OK)
+    if len(ok):
+        chain, path = robot.arms[0].chain, batch["arm_path"][ok[0], 0]
+        ends = path[[-1 - arms[0].knots[-1], -1], : chain.joints].astype(np.float64)
+        below, above = chain_forward(chain, ends)[0]
+        risen, height = float(above[2] - below[2]), protocol.lift.height
+        if abs(risen - height) > LIFT_TOLERANCE:
+            raise NotUsable(
+                f"the arms lift by {risen:.3f} m and protocol {protocol.name!r} by {height:g} m: "
+                f"make the motions with --set path.lift={height:g}"
+            )

@@ -7,7 +7,7 @@ import pytest
 
 from bidexdata.config import fingerprint, from_plain, to_plain, with_overrides
 from bidexdata.errors import BadConfig, UnknownName
-from bidexdata.record.fields import JUDGED, ON_TABLE, TESTS
+from bidexdata.record.fields import JUDGED, ON_TABLE, TESTS, WITH_ARMS
 from bidexdata.validation import Protocol, load_protocol, protocol_names
 from bidexdata.validation.protocols import LiftRules
 from bidexdata.validation.validate import TESTS as FUNCTIONS
@@ -27,7 +27,7 @@ def test_paper_1_is_what_the_design_states():
 
 def test_there_is_code_for_the_tests_that_can_be_run_and_no_others():
     assert tuple(FUNCTIONS) == JUDGED
-    assert set(ON_TABLE) < set(JUDGED) < set(TESTS)
+    assert set(WITH_ARMS) < set(ON_TABLE) < set(JUDGED) <= set(TESTS)
 
 
 def test_every_protocol_has_a_sentence_and_survives_plain_data():
