@@ -17,6 +17,7 @@ os.environ.setdefault("TYPER_USE_RICH", "0")
 
 import typer
 
+from bidexdata.cli.arms import arms
 from bidexdata.cli.bench import bench
 from bidexdata.cli.demo import demo
 from bidexdata.cli.diff import diff
@@ -51,6 +52,7 @@ _UsageError = cast("type[Exception]", typer.BadParameter.__bases__[0])
 COMMANDS = {
     "prepare": prepare,
     "synth": synth,
+    "arms": arms,
     "validate": validate,
     "import": import_,
     "pack": pack,

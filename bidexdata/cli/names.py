@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 PREPARE = "prepare"
 """Stands for the configuration of `bidexdata prepare` where a preset is named."""
+ARMS = "arms"
+"""Likewise for that of `bidexdata arms`."""
 
 
 def protocols(
@@ -67,8 +69,8 @@ def presets(
         str | None,
         typer.Argument(
             metavar="[NAME]",
-            help="A preset, a peer's method (bodex, bimangrasp), or `prepare`: list every key that "
-            "--set and --config take.",
+            help="A preset, a peer's method (bodex, bimangrasp), `prepare` or `arms`: list every key "
+            "that --set and --config take.",
         ),
     ] = None,
     as_json: options.Json = False,
@@ -77,9 +79,10 @@ def presets(
 ) -> None:
     """List the presets of synth and what each changes, or every key of one.
 
-    With NAME: key, value, unit and meaning, and in brackets where the value is from. The name
-    `prepare` stands for the configuration of `bidexdata prepare`, which has no presets; nor have
-    the peers' methods of `synth --method`, which stand for themselves.
+    With NAME: key, value, unit and meaning, and in brackets where the value is from. The names
+    `prepare` and `arms` stand for the configurations of `bidexdata prepare` and `bidexdata arms`,
+    which have no presets; nor have the peers' methods of `synth --method`, which stand for
+    themselves.
 
     --json keys: presets (a list of name, description, changes: key, value, reason); with NAME:
     name, description, groups (a list of name, meaning, keys: key, value, unit, meaning, source).
@@ -111,6 +114,7 @@ def _list_presets(*, as_json: bool, quiet: bool) -> None:
     lines.append(f"every key of a preset: {command('presets', 'NAME')}")
     lines.append(f"every key of a peer's method: {command('presets', METHODS[-1])}")
     lines.append(f"every key of prepare: {command('presets', PREPARE)}")
+    lines.append(f"every key of arms: {command('presets', ARMS)}")
     finish({"presets": found}, lines, as_json=as_json, quiet=quiet)
 
 
@@ -145,6 +149,8 @@ def _protocol_keys(name: str) -> tuple[str, list[ConfigGroup]]:
 def _keys_of(name: str) -> tuple[str, list[ConfigGroup]]:
     if name == PREPARE:
         return _prepare_keys()
+    if name == ARMS:
+        return _arms_keys()
     return _method_keys(name) if name in METHODS else _preset_keys(name)
 
 
@@ -165,6 +171,13 @@ def _prepare_keys() -> tuple[str, list[ConfigGroup]]:
         "mesh's bounding-box diagonal"
     )
     return description, list(config_groups(PrepareConfig()))
+
+
+def _arms_keys() -> tuple[str, list[ConfigGroup]]:
+    from bidexdata.arms.config import ArmConfig
+    from bidexdata.cli.config_keys import config_groups
+
+    return "the configuration of `bidexdata arms`", list(config_groups(ArmConfig()))
 
 
 def _preset_keys(name: str) -> tuple[str, list[ConfigGroup]]:

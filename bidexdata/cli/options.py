@@ -45,7 +45,8 @@ Assignments = Annotated[
         "--set",
         metavar="KEY=VALUE",
         help="Change one key of it; may be repeated. The keys: `bidexdata presets default` for "
-        "synth, `bidexdata presets prepare` for prepare, `bidexdata protocols paper-1` for validate.",
+        "synth, `bidexdata presets prepare` for prepare, `bidexdata presets arms` for arms, "
+        "`bidexdata protocols paper-1` for validate.",
     ),
 ]
 ProtocolName = Annotated[
@@ -53,6 +54,15 @@ ProtocolName = Annotated[
     typer.Option(
         "--protocol",
         help="Whose verdicts; when left out a release's default, else paper-1 or the only ones.",
+    ),
+]
+RigName = Annotated[
+    str | None,
+    typer.Option(
+        "--rig",
+        metavar="NAME|FILE",
+        help="Whose arms, where a run has solutions of several rigs; when left out ur10e_post or "
+        "the only ones.",
     ),
 ]
 Json = Annotated[

@@ -21,6 +21,7 @@ from .mesh_queries import distances, donated_distances, nodes_inside
 from .prepared import SignedDistanceGrid, TriangleMesh
 from .surface import sample_surface
 
+_COARSE = SdfConfig(cells=96)
 _LADDER = (0.5, 0.625, 0.75, 0.875, 1.0)
 """Shares of the finest grid's cells."""
 _NEAR = 0.03
@@ -74,6 +75,21 @@ def signed_distance_grid(
     step = _STEP * 2.0 ** round(float(np.log2(np.linalg.norm(high - low))))
     values = np.rint(np.where(inside, -values, values) / step) * step
     return SignedDistanceGrid(values.astype(np.float32), origin, cell)
+
+
+def grid_of_pieces(
+    pieces: Sequence[TriangleMesh], config: SdfConfig | None = None
+) -> SignedDistanceGrid:
+    """The grid of a solid of which only the pieces are known, as in a release.
+
+    Args:
+        pieces: The convex pieces at unit diagonal, faces outward.
+        config: Resolution and margin; when omitted, those of a coarse grid for searching.
+    """
+    from .closed import as_manifold, as_mesh, union
+
+    closed = [solid for solid in map(as_manifold, pieces) if solid is not None]
+    return signed_distance_grid(as_mesh(union(closed)), pieces, config or _COARSE)
 
 
 def grid_warnings(

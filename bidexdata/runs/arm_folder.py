@@ -24,6 +24,7 @@ from bidexdata.errors import (
     PathNotFound,
 )
 from bidexdata.runs.shards import write_text
+from bidexdata.runs.spec import relative_to_run
 
 if TYPE_CHECKING:
     from bidexdata.arms.robot import Robot
@@ -100,6 +101,11 @@ def chosen_rig(run: Path, preferred: str = "") -> str:
 def resolve_spec(name: str, run: Path) -> str:
     """Give what run.json or rig.json calls a hand or a rig as it can be loaded from here."""
     return str((run / name).resolve()) if name.endswith(_SPEC_ENDINGS) else name
+
+
+def portable_spec(name: str, run: Path) -> str:
+    """The reverse of `resolve_spec`: paths become relative to the run."""
+    return relative_to_run(Path(name), run) if name.endswith(_SPEC_ENDINGS) else name
 
 
 def rig_name(rig: str | Path) -> str:
