@@ -21,7 +21,7 @@ from bidexdata.validation import (
     protocol_names,
     validate_grasps,
 )
-from bidexdata.validation.protocols import Engine, require_own_name
+from bidexdata.validation.protocols import Engine, protocol_mark, require_own_name, without_arms
 
 PAPER = load_protocol("paper-1")
 HERE = Engine(device="cuda", mujoco_warp="4.0.0", warp="1.19.0")
@@ -42,7 +42,7 @@ def on_gpu(monkeypatch):
     monkeypatch.setattr(backends, "engine_identity", lambda _device: HERE)
 
 
-# fingerprint(load_protocol(name)), which the verdicts of runs and releases are marked with
+# Of what tests of floating hands depend on, before protocols said anything of arms.
 PRINTS = {
     "paper-1": "5b363e09f793258c",
     "paper-1-density25": "d3c69fab9b1aec01",
@@ -58,7 +58,9 @@ def test_the_settings_of_a_published_protocol_and_their_hash_are_what_they_were(
     protocol = load_protocol(name)
     assert protocol.engine is None
     assert "engine" not in to_plain(protocol)
-    assert fingerprint(protocol) == PRINTS[name]
+    for test in ("f", "l"):
+        assert fingerprint(protocol_mark(protocol, test)) == PRINTS[name]
+    assert fingerprint(without_arms(protocol)) == PRINTS[name]
     assert on_backend(protocol, "mujoco") is protocol
 
 
@@ -67,7 +69,9 @@ def test_verdicts_of_another_engine_have_another_name_and_fingerprint(on_gpu):
     assert other.name == "paper-1-warp"
     assert other.engine == HERE
     assert other.backend == "mujoco_warp"
-    assert replace(other, name=PAPER.name, description=PAPER.description, engine=None) == PAPER
+    assert replace(
+        other, name=PAPER.name, description=PAPER.description, engine=None
+    ) == without_arms(PAPER)
     assert from_plain(Protocol, to_plain(other)) == other
     assert on_backend(other, "mujoco_warp", "cuda:0") is other
     prints = {fingerprint(replace(other, engine=e)) for e in (HERE, *OTHERS)}
@@ -88,6 +92,28 @@ def test_the_name_of_a_known_protocol_keeps_its_settings_on_any_engine(on_gpu):
     for changed in (PAPER, other):
         with pytest.raises(NotUsable, match=f"'{changed.name}' is the name of a protocol"):
             require_own_name(replace(changed, hold=1.0))
+
+
+def test_another_engine_runs_no_test_with_arms(on_gpu):
+    other = on_backend(PAPER, "mujoco_warp", "cuda:0")
+    assert (other.tests, other.arm) == (("f", "l"), None)
+    assert fingerprint(["0" * 16, to_plain(replace(other, engine=PUBLISHED)), "l"]) == WARP_MARK
+    only = replace(PAPER, name="mine-1", tests=("a",))
+    with pytest.raises(NotUsable, match="'mine-1' has no test without arms"):
+        on_backend(only, "mujoco_warp", "cuda:0")
+
+
+PUBLISHED = Engine(device="cpu", mujoco_warp="3.9.0", warp="1.19.0")
+# The same expression before protocols said anything of arms.
+WARP_MARK = "0a1b1aa94fb80e09"
+
+
+def test_what_was_stored_before_there_were_arms_keeps_its_name(on_gpu):
+    old = from_plain(Protocol, to_plain(without_arms(PAPER)))
+    require_own_name(old)
+    assert "arm" not in to_plain(old)
+    with pytest.raises(NotUsable, match="'paper-1' is the name of a protocol"):
+        require_own_name(replace(PAPER, arm=replace(PAPER.arm, wait=2.0)))
 
 
 def test_the_ending_of_a_name_says_which_engine_judged():

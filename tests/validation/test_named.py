@@ -138,7 +138,9 @@ def test_a_file_changes_settings_of_a_known_protocol(tmp_path):
         ("name: mine\ndescription: x\nhodl: 1.0\n", UnknownKey, "did you mean 'hold'"),
         ("name: My Own\ndescription: x\n", BadConfig, "lower-case"),
         ("name: mine\ndescription: x\ndirections: [up]\n", BadConfig, r"\+x"),
-        ("name: mine\ndescription: x\ntests: [q]\n", BadConfig, "f and l"),
+        ("name: mine\ndescription: x\ntests: [q]\n", BadConfig, "may name f, l, a"),
+        ("name: mine\ndescription: x\ntests: [a]\n", BadConfig, "needs `arm`"),
+        ("base: paper-1\nname: mine\ndescription: x\narm: {wait: -1}\n", BadConfig, "arm.wait"),
         ("base: paper-1\nname: paper-1\ndescription: x\nhold: 1.0\n", NotUsable, "another name"),
     ],
 )
