@@ -36,6 +36,7 @@ DIRECTIONS: dict[str, tuple[float, float, float]] = {
 """To the camera."""
 MAP_HEIGHTS = (0.1, 0.3, 0.5)
 """Heights of the map of reach over the table [m]."""
+FIXTURE = "fixture"
 _TABLE = 0.95
 
 
@@ -69,6 +70,19 @@ def robot_parts(
     return parts
 
 
+def arm_parts(robot: Robot, q: NDArray[np.float64]) -> list[Part]:
+    """Draw both arms, with what of the hands' models moves with them, without the hands.
+
+    Args:
+        robot: The robot.
+        q: Joint angles of the arms [rad], (2, A).
+
+    Returns:
+        Parts labelled `left_arm` and `right_arm`.
+    """
+    return [part for part in robot_parts(robot, q) if part.label.endswith("_arm")]
+
+
 def room_parts(robot: Robot) -> list[Part]:
     """Draw the fixtures and the table."""
     parts = [disc((0.0, 0.0, 0.0), _TABLE, TABLE_COLOUR, "table")]
@@ -77,7 +91,7 @@ def room_parts(robot: Robot) -> list[Part]:
         low = max(-0.02, box.pos[2] - box.half[2])
         placed = vertices + np.array(box.pos)
         placed[:, 2] = np.maximum(placed[:, 2], low)
-        parts.append(mesh_part(placed, faces, FIXTURE_COLOUR, "fixture", smooth=False))
+        parts.append(mesh_part(placed, faces, FIXTURE_COLOUR, FIXTURE, smooth=False))
     return parts
 
 

@@ -34,8 +34,10 @@ def validate(
         str, typer.Option(help="`bidexdata protocols` lists them; a YAML file of your own works.")
     ] = "paper-1",
     tests: Annotated[
-        str, typer.Option(help="f, l or both, separated by commas; by default what the rows allow.")
+        str,
+        typer.Option(help="Of f, l and a, separated by commas; by default what the rows allow."),
     ] = "",
+    rig: options.RigName = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="RUN2", help="For a release: the run that gets the new verdicts."),
@@ -89,6 +91,7 @@ def validate(
 
     Grasps that have a verdict are left alone, so the same command goes on after a stop. --config
     and --set change settings of the protocol, which then needs a name of its own (--set name=NAME).
+    Test a, the lift with arms, is for runs that `bidexdata arms` has found motions for.
 
     MuJoCo's C engine judges. --backend mujoco_warp is another engine, for many grasps at once on a
     GPU (the extra gpu): its verdicts are close to those and not equal, so they are stored under a
@@ -118,7 +121,7 @@ def validate(
                 "--shard": shard is not None,
             }
         )
-        _replay(path, replay, rules, named, video, as_json=as_json, quiet=quiet)
+        _replay(path, replay, rules, named, rig, video, as_json=as_json, quiet=quiet)
         return
     if video is not None:
         raise typer.BadParameter("--video films one grasp: name it with --replay GRASP_ID")
@@ -132,7 +135,7 @@ def validate(
     device = device or ("cuda:0" if backend == "mujoco_warp" else "cpu")
     rules = on_backend(rules, backend, device)  # before anything is written
     _validate(
-        *(_run_of(path, out, rules, named), rules, named, execution, extras, device),
+        *(_run_of(path, out, rules, named, rig), rules, named, execution, extras, device),
         as_json=as_json,
         quiet=quiet,
     )
@@ -150,7 +153,9 @@ def _require_watchable(given: Mapping[str, bool]) -> None:
         )
 
 
-def _run_of(path: Path, out: Path | None, rules: Protocol, tests: Sequence[str]) -> Run:
+def _run_of(
+    path: Path, out: Path | None, rules: Protocol, tests: Sequence[str], rig: str | None
+) -> Run:
     """The run to test: the one at `path`, or one that holds the rows of a release.
 
     No rows are copied for tests that they do not allow.
@@ -165,10 +170,11 @@ def _run_of(path: Path, out: Path | None, rules: Protocol, tests: Sequence[str])
         if out is None:
             raise NotUsable(f"{path} is a release and never changed; name a run with --out RUN2")
         allowed_tests(planned_retest(path, out), rules, tests)
-        return start_retest(path, out)
+        run = start_retest(path, out)
+        return run if rig is None else run.for_rig(rig)
     if out is not None:
         raise NotUsable(f"--out is for releases; the verdicts of {path} are stored in it")
-    return Run.open(path)
+    return Run.open(path, rig=rig)
 
 
 def _validate(
@@ -245,6 +251,7 @@ def _replay(
     grasp_id: str,
     rules: Protocol,
     tests: Sequence[str],
+    rig: str | None,
     video: Path | None,
     *,
     as_json: bool,
@@ -252,13 +259,16 @@ def _replay(
 ) -> None:
     from bidexdata.kinds import expect_kind
     from bidexdata.pictures.captions import failure_place
+    from bidexdata.record.fields import WITH_ARMS
     from bidexdata.runs.replay import replay_grasp
     from bidexdata.runs.run import Run
     from bidexdata.runs.validate import allowed_tests
 
     expect_kind(path, "run")
-    run = Run.open(path)
-    test = allowed_tests(run, rules, tests)[-1]
+    run = Run.open(path, rig=rig)
+    allowed = allowed_tests(run, rules, tests)
+    # Arms are shown when they are asked for.
+    test = [t for t in allowed if tests or t not in WITH_ARMS or len(allowed) == 1][-1]
     report = replay_grasp(run, grasp_id, rules, test, video, quiet=quiet)
     v = report.verdict
     failed = failure_place(v.failed_stage, v.direction, v.time)

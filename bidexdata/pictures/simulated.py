@@ -6,7 +6,7 @@ A replay of a test is a list of `SimulatedPose`, one camera for all of them, and
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -44,9 +44,17 @@ class SimulatedPose(NamedTuple):
     """Origins of each hand's bodies in the hand's order [m], (B, 3) per hand."""
     body_quat_wxyz: tuple[FloatArray, ...]
     """(B, 4) per hand."""
+    arm_joints: FloatArray = np.zeros((0, 0))
+    """Joint angles of arms that carry the hands, padded with NaN [rad], (H, A); empty without."""
 
 
-def read_simulated_pose(scene: SimScene) -> SimulatedPose:
+Beside = Callable[[SimulatedPose], list[Part]]
+"""Gives what else a picture of one moment shows, such as arms."""
+
+
+def read_simulated_pose(
+    scene: SimScene, arm_qpos: Sequence[NDArray[np.intp]] = ()
+) -> SimulatedPose:
     """Copy where all bodies are from the scene's state, after any number of steps.
 
     Positions of bodies are computed from `qpos` first, as every step does before anything else, so
@@ -54,6 +62,7 @@ def read_simulated_pose(scene: SimScene) -> SimulatedPose:
 
     Args:
         scene: A scene with an object.
+        arm_qpos: Addresses in qpos of the joints of each arm, where the scene has some.
     """
     import mujoco
 
@@ -66,11 +75,15 @@ def read_simulated_pose(scene: SimScene) -> SimulatedPose:
         for i, hand in enumerate(scene.hands)
     ]
     obj = model.body(OBJECT_BODY).id
+    arms = np.full((len(arm_qpos), max((len(a) for a in arm_qpos), default=0)), np.nan)
+    for row, address in zip(arms, arm_qpos, strict=True):
+        row[: len(address)] = data.qpos[address]
     return SimulatedPose(
         object_pos=np.array(data.xpos[obj], np.float64),
         object_quat_wxyz=np.array(data.xquat[obj], np.float64),
         body_pos=tuple(np.array(data.xpos[ids], np.float64) for ids in of_hand),
         body_quat_wxyz=tuple(np.array(data.xquat[ids], np.float64) for ids in of_hand),
+        arm_joints=arms,
     )
 
 
@@ -82,6 +95,7 @@ def simulation_parts(
     *,
     table: bool = False,
     surface: Surface = "mesh",
+    beside: Beside | None = None,
 ) -> list[Part]:
     """Everything that a picture of one moment shows.
 
@@ -92,13 +106,15 @@ def simulation_parts(
         hands: In the order of the pose's.
         table: Draw the plane z = 0.
         surface: The object's display mesh, or its convex pieces, each in its own colour.
+        beside: What else to show.
 
     Returns:
-        Parts labelled `object`, `left`, `right`, `ground`.
+        Parts labelled `object`, `left`, `right`, `ground`, and what `beside` gives.
     """
     parts = solid_parts(solid, size, pose.object_pos, pose.object_quat_wxyz, surface=surface)
     for hand, pos, quat in zip(hands, pose.body_pos, pose.body_quat_wxyz, strict=True):
         parts.append(bodies_part(hand, pos, matrix_from_quat(quat)))
+    parts += beside(pose) if beside else []
     return [*parts, table_part(size)] if table else parts
 
 
@@ -109,6 +125,7 @@ def simulation_camera(
     hands: Sequence[Hand],
     *,
     table: bool = False,
+    beside: Beside | None = None,
     aspect: float = 4 / 3,
     device: str = "cpu",
 ) -> Camera:
@@ -120,12 +137,13 @@ def simulation_camera(
         size: Its bounding-box diagonal [m].
         hands: In the order of the poses'.
         table: Whether the plane z = 0 hides what is below it.
+        beside: What else is to be in the picture.
         aspect: Width over height of the pictures [-].
         device: A Warp device.
     """
-    first = simulation_parts(poses[0], solid, size, hands, table=table)
+    first = simulation_parts(poses[0], solid, size, hands, table=table, beside=beside)
     direction = choose_views(first, RayScene(first, device))[0]
-    points = [subject_points(simulation_parts(p, solid, size, hands)) for p in poses]
+    points = [subject_points(simulation_parts(p, solid, size, hands, beside=beside)) for p in poses]
     thinned = [p[:: 1 + len(p) // _POINTS_PER_POSE] for p in points]
     # Corners of each moment's box stand in for the points that were left out.
     boxes = [np.stack([p.min(axis=0), p.max(axis=0)]) for p in points]
@@ -144,6 +162,7 @@ def simulation_frames(
     height: int = 360,
     samples: int = 2,
     surface: Surface = "mesh",
+    beside: Beside | None = None,
     device: str = "cpu",
 ) -> Iterator[Pixels]:
     """Draw moments of a simulation one after the other, each with its words under it.
@@ -163,6 +182,7 @@ def simulation_frames(
         height: Pixels of the picture; the words come below.
         samples: Rays per pixel along each axis where there are edges; 1 is coarse and fast.
         surface: The object's display mesh, or its convex pieces, each in its own colour.
+        beside: What else to show, as many parts at every moment.
         device: A Warp device.
 
     Yields:
@@ -170,7 +190,9 @@ def simulation_frames(
     """
     scene: RayScene | None = None
     for pose, caption in moments:
-        parts = simulation_parts(pose, solid, size, hands, table=table, surface=surface)
+        parts = simulation_parts(
+            pose, solid, size, hands, table=table, surface=surface, beside=beside
+        )
         if scene is None:
             scene = RayScene(parts, device)
         else:

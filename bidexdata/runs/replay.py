@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,13 +12,17 @@ import numpy as np
 from bidexdata.errors import BadConfig, NotUsable
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.batch import in_metres
+from bidexdata.record.fields import WITH_ARMS
 from bidexdata.runs.first_digits import DIGITS, id_digits, require_one
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.run import Run
 from bidexdata.runs.shards import read_mark, shard_path
 
 if TYPE_CHECKING:
-    from bidexdata.pictures.simulated import SimulatedPose
+    from numpy.typing import NDArray
+
+    from bidexdata.arms.robot import Robot
+    from bidexdata.pictures.simulated import Beside, SimulatedPose
     from bidexdata.runs.plan import Task
     from bidexdata.simulation.scene import SimScene
     from bidexdata.validation.protocols import Protocol
@@ -36,7 +40,7 @@ class Moment(NamedTuple):
     time: float
     """Simulated since the start of the test, loads one after the other [s]."""
     phase: str
-    """`closing`, `lift`, `hold`, or in test f `load +x` and so on."""
+    """`closing`, `lift`, `hold`, in test f `load +x` and so on, with arms `approach` before all."""
     pose: SimulatedPose
 
 
@@ -101,7 +105,13 @@ def replay_grasp(
     from bidexdata.engine_log import engine_warnings_logged
     from bidexdata.validation.protocols import require_test
     from bidexdata.validation.stages import Execution
-    from bidexdata.validation.validate import TESTS, grasp_of, scene_of_rows, statuses_before
+    from bidexdata.validation.validate import (
+        TESTS,
+        arm_test_of_rows,
+        grasp_of,
+        scene_of_rows,
+        statuses_before,
+    )
 
     require_test(protocol, test)
     path = None if video is None else Path(video)
@@ -113,16 +123,24 @@ def replay_grasp(
     before = Status(int(statuses_before(batch, hands)[0]))
     if before is not Status.OK:
         raise NotUsable(f"grasp {grasp_id} cannot be replayed: {before.sentence}")
-    scene = scene_of_rows(batch, solid, hands, protocol, test)
+    robot = run.robot() if test in WITH_ARMS else None
+    if robot is None:
+        scenes = scene = scene_of_rows(batch, solid, hands, protocol, test)
+        joints = ()
+    else:
+        scenes = arm_test_of_rows(batch, solid, robot, protocol)
+        scene, joints = scenes.arms.scene, scenes.arms.arm_qpos
     moments: list[Moment] = []
     frames = 0
     with engine_warnings_logged():
         grasp = grasp_of(batch, 0)
-        verdict = TESTS[test](scene, protocol, grasp, Execution(plain=plain), _keep(moments))
+        watch = _keep(moments, joints)
+        verdict = TESTS[test](scenes, protocol, grasp, Execution(plain=plain), watch)
     if path is not None:
         if not moments:
             raise NotUsable(f"grasp {grasp_id} was not simulated: {verdict.status.sentence}")
-        frames = _draw(path, batch, solid, scene, test, moments, verdict, quiet=quiet)
+        beside = None if robot is None else _arms_of(robot)
+        frames = _draw(path, batch, solid, scene, test, moments, verdict, beside, quiet=quiet)
     return Replay(grasp_id, test, protocol.name, verdict, stored, tuple(moments), path, frames)
 
 
@@ -143,6 +161,8 @@ def _row(run: Run, wanted: str, protocol: str, test: str) -> tuple[GraspBatch, s
         plain = bool(read_mark(path).notes.get("execution", {}).get("plain", False))
         verdicts = run.task_verdicts(task, batch, protocol, test)
         stored = Status(int(verdicts["verdict_status"][row])).label
+    if test in WITH_ARMS:
+        batch = run.task_arms(task, batch)
     return batch.select(np.arange(len(batch)) == row), stored, plain
 
 
@@ -161,7 +181,17 @@ def _stored(run: Run, wanted: str) -> tuple[Task, GraspBatch, int]:
     return found[0]
 
 
-def _keep(moments: list[Moment]) -> Callable[[str, float, SimScene], None]:
+def _arms_of(robot: Robot) -> Beside:
+    """What draws the arms and what they stand on."""
+    from bidexdata.arms.views import FIXTURE, arm_parts, room_parts
+
+    still = [part for part in room_parts(robot) if part.label == FIXTURE]
+    return lambda pose: [*arm_parts(robot, pose.arm_joints), *still]
+
+
+def _keep(
+    moments: list[Moment], arm_qpos: Sequence[NDArray[np.intp]]
+) -> Callable[[str, float, SimScene], None]:
     """A watch that keeps one moment per picture of the video."""
     from bidexdata.pictures.simulated import read_simulated_pose
 
@@ -174,7 +204,7 @@ def _keep(moments: list[Moment]) -> Callable[[str, float, SimScene], None]:
             known, began = phase, film
         film = began + lasted
         if new or film - moments[-1].time > 1 / FPS - 1e-6:
-            moments.append(Moment(film, phase, read_simulated_pose(scene)))
+            moments.append(Moment(film, phase, read_simulated_pose(scene, arm_qpos)))
 
     return watch
 
@@ -187,6 +217,7 @@ def _draw(
     test: str,
     moments: list[Moment],
     verdict: Verdict,
+    beside: Beside | None,
     *,
     quiet: bool,
 ) -> int:
@@ -201,7 +232,7 @@ def _draw(
     size = in_metres(batch["size"][0])
     table = TABLE_GEOM in {scene.model.geom(i).name for i in range(scene.model.ngeom)}
     ends = [moments[0].pose, moments[len(moments) // 2].pose, moments[-1].pose]
-    camera = simulation_camera(ends, solid, size, scene.hands, table=table)
+    camera = simulation_camera(ends, solid, size, scene.hands, table=table, beside=beside)
     head = f"{batch['object_id'][0]}  {batch['size_mm'][0]} mm  {batch['grasp_id'][0]}"
     passed = verdict.status is Status.OK
     outcome = outcome_words(test, verdict.status, verdict.direction)
@@ -217,7 +248,9 @@ def _draw(
 
     def frames():
         shown = zip((m.pose for m in moments), captions(), strict=True)
-        drawn = simulation_frames(shown, solid, size, scene.hands, camera, table=table)
+        drawn = simulation_frames(
+            shown, solid, size, scene.hands, camera, table=table, beside=beside
+        )
         with Progress(total, "picture", quiet=quiet) as progress:
             for number, picture in enumerate(drawn, start=1):
                 times = total - len(moments) + 1 if number == len(moments) else 1
