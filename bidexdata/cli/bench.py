@@ -115,6 +115,13 @@ def _tables(
         int | None,
         typer.Option(min=1, help="Only the first so many objects; may differ in a later call."),
     ] = None,
+    rig: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME|FILE|none",
+            help="Whose arms grasps on a table are tested with; none: no test with arms.",
+        ),
+    ] = "ur10e_post",
     workers: options.Workers = 0,
     executor: options.ExecutorName = "processes",
     seed: options.Seed = 0,
@@ -130,7 +137,7 @@ def _tables(
     what each row is and which of them are readings of the paper.
 
     --json keys: those of tables.json (version, library, hand, sizes_mm, grasps, seed, protocol,
-    rows, table_2, table_3, regions, paper; docs/tables.md), and files, seconds.
+    rig, rows, table_2, table_3, regions, paper; docs/tables.md), and files, seconds.
     """
     started = time.perf_counter()
     from bidexdata.errors import NothingSucceeded
@@ -138,7 +145,12 @@ def _tables(
 
     execution = options.execution_of(executor, workers, None, quiet)
     asked = TablesRequest(
-        hand=hand, sizes_mm=options.parse_sizes(sizes), grasps=grasps, limit=limit, seed=seed
+        hand=hand,
+        sizes_mm=options.parse_sizes(sizes),
+        grasps=grasps,
+        limit=limit,
+        seed=seed,
+        rig="" if rig == "none" else rig,
     )
     say = (lambda _: None) if quiet else (lambda text: warn(f"-- {text}"))
     report = make_tables(library, out, asked, execution=execution, say=say)
@@ -165,12 +177,12 @@ def _tables(
 def _lines(data: Mapping[str, Any]) -> list[str]:
     from bidexdata.runs.bench_markdown import difference, mean_text
 
-    rows = [["row", "SUC-F, unselected", "selected", "SUC-L, unselected", "selected", "differs by"]]
+    tests = ("suc_f", "suc_l", *(("suc_a",) if data["rig"] else ()))
+    names = (f"{test.replace('_', '-').upper()}, unselected" for test in tests)
+    rows = [["row", *(cell for name in names for cell in (name, "selected")), "differs by"]]
     for row in data["rows"].values():
         rates = [
-            percent(row[kind].get(test))
-            for test in ("suc_f", "suc_l")
-            for kind in ("unselected", "selected")
+            percent(row[kind].get(test)) for test in tests for kind in ("unselected", "selected")
         ]
         rows.append([row["title"], *rates, difference(row)])
     kinds = [["regions", "Q1 [1e-2]", "what"]]

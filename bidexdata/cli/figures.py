@@ -65,6 +65,7 @@ def figure_lines(
         lines += [
             f"test {test} of {protocol}: {rates}",
             f"verdicts: {counts_text(found['by_verdict'])}",
+            *_arm_lines(found),
         ]
     if tested:
         lines.append(
@@ -103,6 +104,23 @@ def _of_setting(setting: str, found: Mapping[str, Any], tests: list[str]) -> lis
     means = {name: {"mean": found[name]} for name in HEADLINE if found[name] is not None}
     text = [f"{name.upper()} {metric_text(name, mean, unit=True)}" for name, mean in means.items()]
     return ["; ".join([head, *text]), *_by_size(found, run)]
+
+
+def _arm_lines(found: Mapping[str, Any]) -> list[str]:
+    """What of a test's loss is the arms'; nothing for tests without arms."""
+    if "reachable" not in found:
+        return []
+    said = []
+    for kind in ("selected", "unselected"):
+        every, given, lift = (
+            found[name][kind] for name in ("reachable", "given_reachable", "lift_given_reachable")
+        )
+        if every["n"]:
+            floating = f" (test l of the same rows: {percent(lift)})" if lift["n"] else ""
+            said.append(
+                f"{kind}: reachable {percent(every)}; given reachable {percent(given)}{floating}"
+            )
+    return said
 
 
 def _of_audit(figures: Mapping[str, Any]) -> str:

@@ -7,6 +7,10 @@ missing ones as failures. *Selected rate* = successes / selected rows. *Kept sha
 scenes with a selected row that passed / scenes with a selected row. Rates count only rows of runs
 that were tested. Metrics are means over selected rows where they were measured; `pd`,
 `spd` and `cdc` are those of the first test that was run (they do not depend on the test).
+
+Tests with arms, besides: *reachable* = rows with a motion of the arms / the same rows; *given
+reachable* = successes / rows with a motion, so that the product of both is the rate itself; *lift given
+reachable* = those of them that pass test l, whose hands no arm carries.
 """
 
 from __future__ import annotations
@@ -20,6 +24,7 @@ import numpy as np
 from bidexdata.formats.attempts import AttemptTally
 from bidexdata.formats.diversity import DiversityTally, finite_vectors
 from bidexdata.formats.groups import BOUNDED, GroupTally, hands_label
+from bidexdata.formats.reach import arm_rates, arm_rates_of, arm_trials
 from bidexdata.formats.trials import TrialTally
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.fields import HEADLINE
@@ -76,7 +81,9 @@ class Tally:
         run_tests = [test for test in self.tests if test in verdicts]
         passed = {test: _passed(batch, verdicts[test]) for test in run_tests}
         flags = {"selected": selected, "audit": audit}
-        self._trials.add(batch, flags, passed, touched, new, grasps)
+        arms = arm_trials(batch, verdicts, passed)
+        trials = {**passed, **arms.passed}
+        self._trials.add(batch, flags, trials, touched, new, grasps, arms.among)
         self._rows["stored"] += len(batch)
         self._rows["selected"] += _number(selected)
         self._rows["audit"] += _number(audit)
@@ -126,11 +133,14 @@ class Tally:
                 "by_verdict": dict(sorted(self._verdicts[test].items())),
                 "metrics": metrics[test],
                 "groups": groups[test],
+                **arm_rates(self._trials, test, places),
             }
         for size in sizes:
             group = groups[measured]["size"].get(str(size), {})
+            here = [place for place in places if place.size_mm == size]
             out["by_size"][str(size)] = {
-                **self._trials.rates(self.tests, [p for p in places if p.size_mm == size]),
+                **self._trials.rates(self.tests, here),
+                **arm_rates_of(self._trials, self.tests, here),
                 **self._attempts.figures(size),
                 **_means(group.get("metrics", {})),
                 **self._spread(size),

@@ -48,6 +48,7 @@ class TrialTally:
         touched: Mapping[str, SceneParts],
         new: Collection[str],
         grasps: int | None,
+        among: Mapping[str, np.ndarray] | None = None,
     ) -> None:
         """Count rows.
 
@@ -58,7 +59,10 @@ class TrialTally:
             touched: Every scene that the rows stand for.
             new: Those that this run had not touched before.
             grasps: N of the run; None where it had none.
+            among: Of tests whose trials are not all rows, those that are, (N,); rows that a scene
+                could not fill are then none.
         """
+        among = among or {}
         tabletop = batch["setting"] == "tabletop"
         for place in sorted({Place(s.setting, s.size_mm) for s in touched.values()}):
             here = (batch["size_mm"] == place.size_mm) & (tabletop == (place.setting == "tabletop"))
@@ -75,11 +79,13 @@ class TrialTally:
                 mine = here & (batch["object_id"] == obj)
                 chosen, drawn = (mine & flags[name] for name in ("selected", "audit"))
                 for test, won in passed.items():
-                    counts = (_number(won & chosen), _number(chosen))
+                    of = among.get(test, mine)
+                    counts = (_number(won & of & chosen), _number(of & chosen))
                     self._count(("selected", test, place), obj, *counts)
                     if grasps is not None:
                         wanted = grasps * sum(1 for scene in fresh if scene.object_id == obj)
-                        counts = (_number(won & drawn), _number(drawn))
+                        wanted = 0 if test in among else wanted
+                        counts = (_number(won & of & drawn), _number(of & drawn))
                         self._count(("unselected", test, place), obj, *counts, wanted)
 
     def rate(self, kind: str, test: str, places: Collection[Place]) -> Rate:

@@ -31,14 +31,21 @@ if TYPE_CHECKING:
     from bidexdata.objects.library import Library
 
 
-def row_figures(row: Row, run: Run, object_ids: Sequence[str]) -> dict[str, Any]:
-    """What the run of a row comes to on some objects; it may hold more."""
+def row_figures(row: Row, run: Run, object_ids: Sequence[str], rig: str = "") -> dict[str, Any]:
+    """What the run of a row comes to on some objects; it may hold more.
+
+    Args:
+        row: Which.
+        run: Opened for the rig, where it has motions of its arms.
+        object_ids: The objects.
+        rig: Whose arms its grasps are tested with, where it is on a table; empty for none.
+    """
     from bidexdata.formats.figures import Tally
 
-    finished, untested = Finished.of(run), 0
-    stored, audited = Tally(row.tests), Tally(row.tests)
+    finished, untested, names = Finished.of(run), 0, row.tests(rig)
+    stored, audited = Tally(names), Tally(names)
     for object_id in object_ids:
-        tests = [(DEFAULT_PROTOCOL, t) for t in row.tests]
+        tests = [(DEFAULT_PROTOCOL, t) for t in names]
         rows = rows_of_object(run, finished, object_id, "", tests)
         if rows is None:
             continue
@@ -66,17 +73,17 @@ def row_figures(row: Row, run: Run, object_ids: Sequence[str]) -> dict[str, Any]
         "unselected": {
             "rows": figures["audit_rows"],
             **_rates(figures, "unselected"),
-            **_measured(of_audit, row.tests[0]),
+            **_measured(of_audit, names[0]),
         },
         "selected": {
             "rows": figures["selected_rows"],
             **_rates(figures, "selected"),
-            **_measured(figures, row.tests[0]),
+            **_measured(figures, names[0]),
         },
         "s": speed.per_second,
         "s_attempts": speed.attempts,
         "s_cpu_seconds": round(speed.cpu_seconds, 4),
-        "sgs": {t: _product(speed.per_second, _rate(figures, t)) for t in row.tests},
+        "sgs": {t: _product(speed.per_second, _rate(figures, t)) for t in names},
     }
 
 
@@ -115,7 +122,12 @@ def region_figures(
 
 
 def _rates(figures: Mapping[str, Any], kind: str) -> dict[str, Any]:
-    return {f"suc_{test}": found[kind] for test, found in figures["tests"].items()}
+    from bidexdata.formats.reach import ARM_RATES
+
+    rates = {f"suc_{test}": found[kind] for test, found in figures["tests"].items()}
+    for found in figures["tests"].values():
+        rates |= {name: found[name][kind] for name in ARM_RATES if name in found}
+    return rates
 
 
 def _rate(figures: Mapping[str, Any], test: str) -> float | None:

@@ -81,10 +81,11 @@ class Row:
     changes: tuple[Change, ...] = ()
     """What differs from the preset or the method's defaults."""
 
-    @property
-    def tests(self) -> tuple[str, ...]:
-        """Tests of the protocol that its grasps are put to."""
-        return ("f", "l") if self.setting == "tabletop" else ("f",)
+    def tests(self, rig: str = "") -> tuple[str, ...]:
+        """Tests of the protocol that its grasps are put to; with arms where a rig is named."""
+        if self.setting == "floating":
+            return ("f",)
+        return ("f", "l", "a") if rig else ("f", "l")
 
     @property
     def base(self) -> str:

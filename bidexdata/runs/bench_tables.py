@@ -32,7 +32,7 @@ from bidexdata.runs.validate import validate_run
 if TYPE_CHECKING:
     from bidexdata.objects.library import Library
 
-VERSION = "1.0"
+VERSION = "1.1"
 """Of the keys of tables.json."""
 SIZES_MM = (300, 500, 800)
 GRASPS = 5
@@ -52,6 +52,9 @@ class TablesRequest:
     limit: int | None = None
     """Objects of the library, the first in its order; None: all. May be another in every call."""
     seed: int = 0
+    rig: str = ""
+    """Name or spec of the rig whose arms grasps on a table are tested with; empty: no test with
+    arms. May be another in every call."""
 
     def __post_init__(self) -> None:
         if self.limit is not None and self.limit < 1:
@@ -91,7 +94,7 @@ def make_tables(
 
     Raises:
         PathNotFound: There is no library.
-        NotUsable: `out` is something else.
+        NotUsable: `out` is something else, or the rig cannot carry the hand.
         ConfigConflict: `out` holds rows of another configuration.
     """
     from bidexdata.objects.library import Library
@@ -101,6 +104,7 @@ def make_tables(
     requests = {row.name: _request(row, asked) for row in rows}
     opened = Library.open(library)
     _refuse_other(out)
+    rig = _rig_name(asked)
     ids = opened.object_ids[: asked.limit]
     how = dataclasses.replace(execution or TaskExecution(), objects=frozenset(ids))
     for row in rows:  # whatever contradicts an earlier call does so before anything is computed
@@ -108,18 +112,25 @@ def make_tables(
     failures = []
     for number, row in enumerate(rows, 1):
         say(f"row {number} of {len(rows)}, {row.name}: {row.title}, {row.setting}")
-        failures += _make_row(opened, out / row.name, requests[row.name], how)
+        at = asked.rig if row.setting == "tabletop" else ""
+        tests = row.tests(rig)
+        failures += _make_row(opened, out / row.name, requests[row.name], at, tests, how)
     say(f"{REGIONS}: Q1 of region pairs")
     failed = measure_regions(opened, ids, asked.sizes_mm, asked.seed, out / REGIONS, how)
     failures += _failed_text(out / REGIONS, failed)
-    data = tables(opened, out, asked, rows, ids)
+    data = tables(opened, out, asked, rows, ids, rig)
     write_text(out / JSON_FILE, json.dumps(data, indent=1) + "\n")
     write_text(out / MARKDOWN_FILE, markdown(data))
     return TablesReport(data, out / JSON_FILE, out / MARKDOWN_FILE, tuple(failures))
 
 
 def tables(
-    library: Library, out: Path, asked: TablesRequest, rows: Sequence[Row], ids: Sequence[str]
+    library: Library,
+    out: Path,
+    asked: TablesRequest,
+    rows: Sequence[Row],
+    ids: Sequence[str],
+    rig: str,
 ) -> dict[str, Any]:
     """What tables.json holds; docs/tables.md says what its keys are."""
     names = [row.name for row in rows]
@@ -135,6 +146,7 @@ def tables(
         "grasps": asked.grasps,
         "seed": asked.seed,
         "protocol": DEFAULT_PROTOCOL,
+        "rig": rig or None,
         "rows": {
             row.name: {
                 "title": row.title,
@@ -143,7 +155,7 @@ def tables(
                 "base": row.base,
                 "changes": dict(row.changes),
                 "command": row.command(asked.hand, asked.sizes_mm, asked.grasps, asked.seed),
-                **row_figures(row, Run.open(out / row.name), ids),
+                **row_figures(row, _opened(out / row.name, rig), ids, rig),
             }
             for row in rows
         },
@@ -173,15 +185,49 @@ def _request(row: Row, asked: TablesRequest) -> SynthRequest:
     )
 
 
-def _make_row(library: Library, run: Path, request: SynthRequest, how: TaskExecution) -> list[str]:
-    """Synthesise and test what is missing of a row."""
+def _rig_name(asked: TablesRequest) -> str:
+    """Name of the rig, which can carry the hand; empty for none.
+
+    Raises:
+        NotUsable: It cannot, or there is no such rig or hand.
+    """
+    if not asked.rig:
+        return ""
+    from bidexdata.arms import load_rig, mount_robot
+    from bidexdata.arms.payload import require_payload
+    from bidexdata.hands import load_hands
+
+    robot = mount_robot(load_rig(asked.rig), load_hands(asked.hand))
+    require_payload(robot)
+    return robot.rig.spec.name
+
+
+def _opened(path: Path, rig: str) -> Run:
+    """A row's run, for the rig where it has motions of its arms."""
+    run = Run.open(path)
+    return run.for_rig(rig) if rig in run.arm_rigs() else run
+
+
+def _make_row(
+    library: Library,
+    run: Path,
+    request: SynthRequest,
+    rig: str,
+    tests: Sequence[str],
+    how: TaskExecution,
+) -> list[str]:
+    """Synthesise, lead arms to and test what is missing of a row."""
+    from bidexdata.runs.arms import arms_run
     from bidexdata.validation.protocols import load_protocol
 
     made = synth_library(library.path, run, request, execution=how, on_task=noted_in(run))
     failures = _failed_text(run, made.failures)
     opened = Run.open(run)
     if opened.done():  # on a table there may be no scene
-        tested = validate_run(opened, load_protocol(DEFAULT_PROTOCOL), execution=how)
+        if rig:
+            failures += _failed_text(run, arms_run(opened, rig, execution=how).failures)
+            opened = opened.for_rig(rig)
+        tested = validate_run(opened, load_protocol(DEFAULT_PROTOCOL), tests, execution=how)
         for report in tested.values():
             failures += _failed_text(run, report.failures)
     return failures

@@ -33,7 +33,7 @@ from bidexdata.errors import (
 )
 from bidexdata.kinds import MANIFEST, RUN_FILE, expect_kind
 from bidexdata.record import FIELDS, GraspBatch, Header
-from bidexdata.record.fields import WITH_ARMS, columns_written_by
+from bidexdata.record.fields import TESTS, WITH_ARMS, columns_written_by
 from bidexdata.record.settings import settings_of_test
 from bidexdata.runs.arm_folder import (
     RIG_FILE,
@@ -232,7 +232,7 @@ class Run:
         return arms_folder(self.path, self._rig_needed())
 
     def verdict_folders(self) -> dict[tuple[str, str], Path]:
-        """Folders of verdicts per protocol and test, sorted; with arms, of the run's rig alone.
+        """Folders of verdicts per protocol and test, in their order; with arms, of the run's rig.
 
         Nothing else looks into the folder `validate`.
         """
@@ -241,7 +241,8 @@ class Run:
             test, rig = split_folder_name(folder.name)
             if not rig or rig == self.rig:
                 found[folder.parent.name, test] = folder
-        return found
+        order = {test: place for place, test in enumerate(TESTS)}
+        return dict(sorted(found.items(), key=lambda f: (f[0][0], order.get(f[0][1], len(order)))))
 
     def verdict_tests(self) -> list[tuple[str, str]]:
         """The (protocol, test) pairs that have shards."""

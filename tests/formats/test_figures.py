@@ -8,6 +8,7 @@ from made_release import made_hands
 
 from bidexdata.formats.figures import Tally
 from bidexdata.record import GraspBatch, Header, Status
+from bidexdata.record.status import TestStage
 
 HEADER_HANDS = tuple(h.header() for h in made_hands())
 
@@ -238,6 +239,50 @@ def test_metrics_are_means_over_selected_rows_that_were_measured():
     tally.add(batch(rows), verdicts([True] * 3, [0.002, np.nan, 0.5]), run="r", grasps=2)
     assert tally.figures()["pd"] == pytest.approx(0.002)
     assert tally.figures()["by_size"]["300"]["cdc"] == pytest.approx(0.002)
+
+
+def test_success_with_arms_is_the_share_they_reach_times_the_success_of_those():
+    rows = [
+        *[(A, True, True, Status.OK)] * 5,
+        (A, True, False, Status.OK),
+        (A, False, True, Status.NO_PLACEMENT),
+        (B, False, True, Status.OK),
+    ]
+    statuses = [
+        *(Status.OK, Status.OK, Status.IK_LIFT, Status.SLIP),
+        Status.COLLISION_ARMS,  # while it was simulated
+        *(Status.COLLISION_OBJECT, Status.NOT_RUN, Status.OK),
+    ]
+    stages = [*(TestStage.NONE,) * 3, TestStage.HOLD, TestStage.APPROACH, *(TestStage.NONE,) * 3]
+    arms = verdicts([status is Status.OK for status in statuses])["f"] | {
+        "verdict_status": np.array(statuses, np.int8),
+        "failed_stage": np.array(stages, np.int8),
+    }
+    lift = verdicts([True] * 3 + [False] + [True] * 2 + [False, True])["f"]
+    tally = Tally(("l", "a"))
+    tally.add(batch(rows), {"l": lift, "a": arms}, grasps=6)
+    found = tally.figures()["tests"]["a"]
+
+    def counts(name, kind):
+        rate = found[name][kind] if name else found[kind]
+        return rate["k"], rate["n"]
+
+    # Of the six selected rows four have a motion: not those with IK_LIFT and COLLISION_OBJECT.
+    assert counts("", "selected") == (2, 6)
+    assert counts("reachable", "selected") == (4, 6)
+    assert counts("given_reachable", "selected") == (2, 4)
+    assert counts("lift_given_reachable", "selected") == (3, 4)
+    # Seven audit rows of two scenes with six each to fill.
+    assert counts("", "unselected") == (3, 12)
+    assert counts("reachable", "unselected") == (5, 12)
+    assert counts("given_reachable", "unselected") == (3, 5)
+    for kind in ("selected", "unselected"):
+        rate, *parts = (found[kind]["rate"], found["reachable"][kind]["rate"],
+                        found["given_reachable"][kind]["rate"])  # fmt: skip
+        assert rate == pytest.approx(np.prod(parts))
+    by_size = tally.figures()["by_size"]["300"]
+    assert by_size["reachable_a"]["selected"] == found["reachable"]["selected"]
+    assert "reachable" not in tally.figures()["tests"]["l"]
 
 
 def test_every_key_of_the_figures_is_documented():
