@@ -15,6 +15,7 @@ from bidexdata.arms.solutions import arm_headers, no_solutions
 from bidexdata.arms.waypoints import Poses, lifted, line, stand_off
 from bidexdata.frames import invert, pos_quat
 from bidexdata.record import GraspBatch, Status
+from bidexdata.validation.stages import Grasp
 from bidexdata.validation.validate import grasp_of
 
 CONFIG = ArmConfig()
@@ -50,6 +51,18 @@ def with_arms(robot, batch, config=CONFIG) -> GraspBatch:
         _solve(robot, grasp_of(batch, row), found, row, config)
     header = dataclasses.replace(batch.header, arms=arm_headers(robot, config))
     return GraspBatch(header, {**batch.columns, **found.to_columns()})
+
+
+def solve_arms(robot, field, scenes, targets, config, device="cpu"):
+    """In place of the solver of the package: the same postures as in `with_arms`."""
+    found = no_solutions(robot, config, len(targets.hand_pos))
+    for row in range(len(targets.hand_pos)):
+        grasp = Grasp(
+            *(targets.object_pos, targets.object_quat_wxyz, targets.hand_pos[row]),
+            *(targets.hand_quat_wxyz[row], targets.joints[row]),
+        )
+        _solve(robot, grasp, found, row, config)
+    return found
 
 
 def _solve(robot, grasp, found, row, config) -> None:
