@@ -7,6 +7,9 @@ be exact: they may stand out by, or leave uncovered, at most `TOLERANCE`.
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Mapping
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -82,6 +85,21 @@ def fit_arm_spheres(model: mujoco.MjModel, chain: Chain, bodies: list[str]) -> A
     return spheres._replace(against_self=pairs)
 
 
+def spheres_as_arrays(spheres: ArmSpheres) -> dict[str, np.ndarray]:
+    """Arrays by name, for a file; `spheres_from_arrays` reads them."""
+    return {**spheres._asdict(), "part": np.array(spheres.part, np.str_)}
+
+
+def spheres_from_arrays(arrays: Mapping[str, np.ndarray]) -> ArmSpheres:
+    """Give the spheres that became arrays.
+
+    Raises:
+        KeyError: One is missing.
+    """
+    found = {name: np.asarray(arrays[name]) for name in ArmSpheres._fields if name != "part"}
+    return ArmSpheres(**found, part=tuple(arrays["part"].tolist()))
+
+
 def place_spheres(
     chain: Chain, spheres: ArmSpheres, q: Float[np.ndarray, "*b A"]
 ) -> Float[np.ndarray, "*b K 3"]:
@@ -103,8 +121,36 @@ def shape_spheres(shapes: list[Shape]) -> tuple[FloatArray, FloatArray]:
         elif shape.kind in ("capsule", "cylinder"):
             found.append(_string(shape))
     if covered:
-        found.append(cover(covered, np.zeros((0, 3)), np.zeros(0), _MESH))
+        found.append(_covered(_key(covered), _Covered(covered)))
     return np.concatenate([c for c, _ in found]), np.concatenate([r for _, r in found])
+
+
+class _Covered:
+    """Shapes, which the key beside them stands for: equal to any other."""
+
+    def __init__(self, shapes: list[Shape]) -> None:
+        self.shapes = shapes
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Covered)
+
+    def __hash__(self) -> int:
+        return 0
+
+
+@lru_cache(maxsize=64)
+def _covered(key: bytes, given: _Covered) -> tuple[FloatArray, FloatArray]:
+    """The cover of meshes and boxes; both arms of a rig are the same model as a rule."""
+    return cover(given.shapes, np.zeros((0, 3)), np.zeros(0), _MESH)
+
+
+def _key(shapes: list[Shape]) -> bytes:
+    told = hashlib.sha256()
+    for shape in shapes:
+        told.update(shape.kind.encode())
+        for values in (shape.size, shape.pos, shape.R, shape.vertices, shape.faces):
+            told.update(np.ascontiguousarray(values).tobytes())
+    return told.digest()
 
 
 def _string(shape: Shape) -> tuple[FloatArray, FloatArray]:

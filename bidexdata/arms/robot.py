@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -22,6 +22,10 @@ from bidexdata.simulation.assembly import TABLE_GEOM, hand_prefix
 
 if TYPE_CHECKING:
     import mujoco
+
+
+Known = Callable[[str], tuple[ArmSpheres, ArmSpheres] | None]
+"""Gives the spheres of both arms of the robot with a digest, where they are known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,8 +62,18 @@ class Robot:
         return max(arm.chain.joints for arm in self.arms)
 
 
-def mount_robot(rig: Rig, hands: Sequence[Hand]) -> Robot:
+def mount_robot(
+    rig: Rig,
+    hands: Sequence[Hand],
+    known: Known | None = None,
+) -> Robot:
     """Mount a left and a right hand on a rig; the same robot for the same rig and hands.
+
+    Args:
+        rig: The rig.
+        hands: Left and right.
+        known: Gives the arms' spheres for the robot's digest, where they were fitted before; most of
+            the time that mounting takes is fitting them.
 
     Raises:
         NotUsable: There are not two hands, left and right.
@@ -69,7 +83,7 @@ def mount_robot(rig: Rig, hands: Sequence[Hand]) -> Robot:
         sides = ", ".join(hand.side for hand in hands) or "none"
         raise NotUsable(f"a rig carries a left and a right hand, in this order, not: {sides}")
     key = (rig.digest, *(hand.spec_hash for hand in hands))
-    return _mounted(key, _Given(rig, (hands[0], hands[1])))
+    return _mounted(key, _Given(rig, (hands[0], hands[1]), known))
 
 
 def robot_spec(robot: Robot, *, table: bool = True) -> mujoco.MjSpec:
@@ -91,8 +105,8 @@ def robot_spec(robot: Robot, *, table: bool = True) -> mujoco.MjSpec:
 class _Given:
     """Rig and hands, which the key beside them stands for: equal to any other."""
 
-    def __init__(self, rig: Rig, hands: tuple[Hand, Hand]) -> None:
-        self.rig, self.hands = rig, hands
+    def __init__(self, rig: Rig, hands: tuple[Hand, Hand], known: Known | None) -> None:
+        self.rig, self.hands, self.known = rig, hands, known
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Given)
@@ -105,10 +119,12 @@ class _Given:
 def _mounted(key: tuple[str, ...], given: _Given) -> Robot:
     rig, hands = given.rig, given.hands
     digest = hashlib.sha256(" ".join(key).encode()).hexdigest()
-    return Robot(rig, hands, (_arm(rig, hands[0], 0), _arm(rig, hands[1], 1)), digest)
+    spheres = (given.known(digest) if given.known is not None else None) or (None, None)
+    left, right = (_arm(rig, hands[i], i, spheres[i]) for i in range(2))
+    return Robot(rig, hands, (left, right), digest)
 
 
-def _arm(rig: Rig, hand: Hand, index: int) -> Arm:
+def _arm(rig: Rig, hand: Hand, index: int, spheres: ArmSpheres | None) -> Arm:
     side = hand.side
     arm, place, mount = rig.arm(side), rig.spec.place(side), rig.spec.mount(hand.name)
     model = arm_spec(rig.spec, index, arm, hand, mount).compile()
@@ -130,7 +146,7 @@ def _arm(rig: Rig, hand: Hand, index: int) -> Arm:
         place=place,
         mount=mount,
         chain=chain,
-        spheres=fit_arm_spheres(model, chain, bodies),
+        spheres=spheres or fit_arm_spheres(model, chain, bodies),
         fixtures=rig.spec.fixtures,
         carried=carried,
     )

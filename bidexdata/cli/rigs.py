@@ -9,7 +9,7 @@ import typer
 
 from bidexdata.cli import options
 from bidexdata.cli.checks import finish_check, picture_place
-from bidexdata.cli.report import command, finish, table
+from bidexdata.cli.report import command, finish, table, warn
 
 rigs = typer.Typer(invoke_without_command=True, no_args_is_help=False)
 
@@ -82,5 +82,6 @@ def _check(
     if object_mass is not None and not 0 <= object_mass < float("inf"):
         raise BadValue(f"--object-mass {object_mass}: must be zero or more")
     picture = picture_place(out, spec, "rig")
-    report = check_rig(spec, picture, hand=hand, object_mass=object_mass)
+    say = (lambda _: None) if quiet else (lambda text: warn(f"-- {text}"))
+    report = check_rig(spec, picture, hand=hand, object_mass=object_mass, say=say)
     finish_check(report, "rig", as_json=as_json, quiet=quiet)

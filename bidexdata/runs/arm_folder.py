@@ -13,6 +13,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile
+
+import numpy as np
 
 from bidexdata.config import differing_keys, fingerprint, from_plain, to_plain
 from bidexdata.errors import (
@@ -23,14 +26,17 @@ from bidexdata.errors import (
     NotUsable,
     PathNotFound,
 )
-from bidexdata.runs.shards import write_text
+from bidexdata.record.fields import SIDES
+from bidexdata.runs.shards import write_atomically, write_text
 from bidexdata.runs.spec import relative_to_run
 
 if TYPE_CHECKING:
+    from bidexdata.arms.arm_spheres import ArmSpheres
     from bidexdata.arms.robot import Robot
 
 ARMS = "arms"
 RIG_FILE = "rig.json"
+SPHERES_FILE = "spheres.npz"
 _SPEC_ENDINGS = (".yaml", ".yml")
 
 
@@ -184,6 +190,45 @@ def store_record(run: Path, record: ArmsRecord) -> None:
     if differing:
         said = [text for text in differing if not text.startswith("robot")]
         raise ConfigConflict(path.parent, said or ["robot: files of the arms or the hands"])
+
+
+def store_spheres(run: Path, rig: str, robot: Robot) -> None:
+    """Write the spheres of a robot's arms beside rig.json, so that workers need not fit them."""
+    from bidexdata.arms.arm_spheres import spheres_as_arrays
+
+    path = arms_folder(run, rig) / SPHERES_FILE
+    if path.is_file():
+        return
+    arrays: dict[str, Any] = {
+        f"{arm.side}_{name}": values
+        for arm in robot.arms
+        for name, values in spheres_as_arrays(arm.spheres).items()
+    }
+
+    def write(temporary: Path) -> None:
+        with temporary.open("wb") as file:
+            np.savez(file, digest=np.array(robot.digest), **arrays)
+
+    write_atomically(path, write)
+
+
+def known_spheres(run: Path, rig: str, digest: str) -> tuple[ArmSpheres, ArmSpheres] | None:
+    """Read what `store_spheres` wrote for the robot with this digest; None where it did not."""
+    from bidexdata.arms.arm_spheres import spheres_from_arrays
+
+    try:
+        with np.load(arms_folder(run, rig) / SPHERES_FILE, allow_pickle=False) as file:
+            if str(file["digest"]) != digest:
+                return None
+            found = dict(file)
+        of_side = [
+            {n.removeprefix(f"{side}_"): v for n, v in found.items() if n.startswith(f"{side}_")}
+            for side in SIDES
+        ]
+        left, right = map(spheres_from_arrays, of_side)
+    except (OSError, ValueError, KeyError, BadZipFile):
+        return None
+    return left, right
 
 
 def check_robot(run: Path, record: ArmsRecord, robot: Robot) -> None:

@@ -28,6 +28,7 @@ from bidexdata.runs.arm_folder import (
     portable_spec,
     read_record,
     store_record,
+    store_spheres,
 )
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.made_with import package_versions
@@ -82,12 +83,13 @@ def arms_run(
     if execution.executor != "ray":  # whose workers have devices of their own
         check_device(device)
     _check_rows(run)
-    record = _record(run, rig, config)
+    record, robot = _record(run, rig, config)
     have = run.done()
     if not have:
         raise NotUsable(f"{run.path} has no finished task yet; run `bidexdata synth` first")
     run.check_source()
     store_record(run.path, record)
+    store_spheres(run.path, record.name, robot)
     run = dataclasses.replace(run, asked_rig=record.name)
     tasks = [t for t in execution.part_of(run.tasks) if t.task_id in have]
     folder = run.arms_folder()
@@ -212,7 +214,7 @@ def _check_rows(run: Run) -> None:
         )
 
 
-def _record(run: Run, rig: str | Path | None, config: ArmConfig | None) -> ArmsRecord:
+def _record(run: Run, rig: str | Path | None, config: ArmConfig | None) -> tuple[ArmsRecord, Robot]:
     """Load the rig with the run's hands and say what solutions will be made with.
 
     Raises:
@@ -226,7 +228,7 @@ def _record(run: Run, rig: str | Path | None, config: ArmConfig | None) -> ArmsR
     given = str(rig or DEFAULT_RIG)
     robot = mount_robot(load_rig(given), run.hands())
     require_payload(robot, heaviest_object(run))
-    return ArmsRecord(
+    record = ArmsRecord(
         name=folder_name(robot.rig.spec.name),
         rig=portable_spec(given, run.path),
         digest=robot.digest,
@@ -236,6 +238,7 @@ def _record(run: Run, rig: str | Path | None, config: ArmConfig | None) -> ArmsR
         run=run.fingerprint,
         versions=package_versions(),
     )
+    return record, robot
 
 
 def _load_kernels(device: str) -> None:

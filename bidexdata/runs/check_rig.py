@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -83,7 +84,12 @@ class RigReport:
 
 
 def check_rig(
-    name: str, picture: Path, *, hand: str | None = None, object_mass: float | None = None
+    name: str,
+    picture: Path,
+    *,
+    hand: str | None = None,
+    object_mass: float | None = None,
+    say: Callable[[str], None] = lambda _: None,
 ) -> RigReport:
     """Check one rig and draw it.
 
@@ -92,6 +98,7 @@ def check_rig(
         picture: Image file to write.
         hand: The hand to mount; the first that the rig names when omitted.
         object_mass: Of the heaviest object [kg]; that of the largest size when omitted.
+        say: Takes a line before each part that takes its time.
 
     Raises:
         UnknownName: No rig or hand has this name and no file this path.
@@ -103,20 +110,24 @@ def check_rig(
     start = time.monotonic()
     spec = rig_spec(name)
     hand = hand or first_hand(spec)
+    say(f"load the models and mount the hand {hand}")
     findings, robot = _loaded(name, hand)
     payload, reach, drawn = (), None, None
     if robot is not None:
+        say("overlaps at rest, and kinematics in three engines")
         findings.append(_rest(robot))
         findings.append(_engines(robot))
         from bidexdata.arms.inverse_kinematics import IkConfig
         from bidexdata.arms.payload import check_payload
         from bidexdata.arms.reach_report import reach_report
 
+        say("reach generic pairs of palm poses, and lift them")
         reach = reach_report(robot, config=IkConfig(starts=STARTS))
         findings.append(_reach(reach))
         postures = reach.q[reach.reason == 0]
         payload = check_payload(robot, HEAVIEST if object_mass is None else object_mass, postures)
         findings.append(_payload(robot, payload))
+        say("draw")
         _draw(robot, reach, picture)
         drawn = picture
     seen = {f.check for f in findings}

@@ -15,7 +15,7 @@ import json
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -40,6 +40,7 @@ from bidexdata.runs.arm_folder import (
     arms_folder,
     check_robot,
     chosen_rig,
+    known_spheres,
     read_record,
     resolve_spec,
     rig_name,
@@ -210,7 +211,8 @@ class Run:
         from bidexdata.arms.robot import mount_robot
 
         record = read_record(self.path, self._rig_needed())
-        robot = mount_robot(load_rig(resolve_spec(record.rig, self.path)), self.hands())
+        known = partial(known_spheres, self.path, record.name)
+        robot = mount_robot(load_rig(resolve_spec(record.rig, self.path)), self.hands(), known)
         check_robot(self.path, record, robot)
         return robot
 

@@ -11,6 +11,7 @@ import pytest
 import yaml
 from made_rig import arm_xml, rig_data, write_rig
 
+from bidexdata.arms.arm_spheres import spheres_as_arrays, spheres_from_arrays
 from bidexdata.arms.payload import TooHeavy, check_payload, require_payload
 from bidexdata.arms.registry import DEFAULT_RIG, load_rig, rig_names, rig_spec
 from bidexdata.arms.robot import mount_robot, robot_spec
@@ -214,3 +215,19 @@ def test_the_licence_of_an_arm_stands_beside_its_model(menagerie, rig):
     loaded = load_rig(rig)
     assert loaded.left.licence_text
     assert re.search("BSD|Redistribution", loaded.left.licence_text)
+
+
+def test_spheres_that_are_known_are_taken_as_they_are(made, tmp_path):
+    arrays = [spheres_as_arrays(arm.spheres) for arm in made.arms]
+    read = [spheres_from_arrays(a) for a in arrays]
+    for arm, again in zip(made.arms, read, strict=True):
+        for name, values in arm.spheres._asdict().items():
+            assert np.array_equal(values, getattr(again, name)), name
+            assert np.asarray(values).dtype == np.asarray(getattr(again, name)).dtype, name
+    other = load_rig(write_rig(tmp_path, description="another rig, so that it is mounted anew"))
+    asked = []
+    robot = mount_robot(
+        other, made.hands, lambda digest: asked.append(digest) or (read[0], read[1])
+    )
+    assert asked == [robot.digest]
+    assert [arm.spheres for arm in robot.arms] == read
