@@ -29,6 +29,7 @@ def info(
             help="Whose figures; when left out a release's default, and all that a run has."
         ),
     ] = None,
+    rig: options.RigName = None,
     as_json: options.Json = False,
     quiet: options.Quiet = False,
     debug: options.Debug = False,
@@ -46,14 +47,14 @@ def info(
     failures (source_name, status, reason), warnings (source_name, warning); a run: fingerprint,
     hand, method, preset, changed (keys that --set changed), setting, rest_poses, without_scene (objects that no scene could be made of),
     without_grasp (scenes that no grasp was kept of), sizes_mm, grasps, candidates, seed, objects,
-    tasks, done (per stage), made_with (per stage: a list of tasks, device, device_name and package
+    tasks, rig (whose arms the figures of test a are), done (per stage), made_with (per stage: a list of tasks, device, device_name and package
     versions), figures, protocols; a release: name, version, schema_version, default_protocol,
     tests, splits, hands, protocol (whose figures), figures. With --by also: by, groups (per protocol, test and group: rows, objects, selected,
     metrics).
     """
     from bidexdata.runs.info import describe
 
-    data = describe(path, by, protocol)
+    data = describe(path, by, protocol, rig)
     lines = _LINES[data["kind"]](data)
     if by is not None:
         lines = [lines[0], *group_lines(data)]

@@ -38,6 +38,7 @@ def pack(
             "left out. The tables hold those of every protocol."
         ),
     ] = None,
+    rig: options.RigName = None,
     author: Annotated[
         list[str] | None,
         typer.Option(help="Family, Given or the name of a group; may be repeated."),
@@ -73,6 +74,7 @@ def pack(
         licences=licences,
         split=split,
         protocol=protocol,
+        rig=rig,
         seed=seed,
         about=About(authors=tuple(author or ()), date=date, url=url),
         pictures=pictures,

@@ -16,6 +16,7 @@ def table(
     path: Annotated[Path, typer.Argument(metavar="PATH", help="A library, a run or a release.")],
     out: Annotated[Path, typer.Option(metavar="FILE", help="A .csv or .parquet file.")],
     protocol: options.ProtocolName = None,
+    rig: options.RigName = None,
     as_json: options.Json = False,
     quiet: options.Quiet = False,
     debug: options.Debug = False,
@@ -30,7 +31,7 @@ def table(
     """
     from bidexdata.runs.table import write_table
 
-    report = write_table(path, out, protocol=protocol, quiet=quiet)
+    report = write_table(path, out, protocol=protocol, rig=rig, quiet=quiet)
     rows = counted(report.rows, "input" if report.kind == "library" else "row")
     verdicts = f", verdicts of {report.protocol}" if report.protocol else ""
     if report.kind != "library" and not report.protocol:

@@ -53,6 +53,7 @@ def release_columns(header: Header, tests: Iterable[TestKey]) -> dict[str, list[
     schemas: Mapping[str, pa.Schema] = {
         "grasps": tables.grasps_schema(header),
         "contacts": tables.contacts_schema(header),
+        **{name: tables.arms_schema(header) for name in tables.arms_tables(header)},
         **{f"verdicts/{p}-{t}": tables.verdicts_schema(header) for p, t in sorted(tests)},
         "objects": tables.plain_schema(tables.OBJECT_FIELDS),
         "scenes": tables.plain_schema(tables.SCENE_FIELDS),

@@ -16,10 +16,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bidexdata.formats.tables import arms_tables
+
 if TYPE_CHECKING:
     import pyarrow as pa
 
     from bidexdata.formats.release import Release
+    from bidexdata.record import Header
 
 LEFT_OUT = {"runs": ("generator_version",)}
 """Columns that name package versions."""
@@ -126,14 +129,15 @@ def content_hash(release: Release) -> str:
     return tally.digest()
 
 
-def row_table_names(tests: Sequence[tuple[str, str]]) -> list[str]:
-    """The row tables of a release with these verdicts."""
-    return ["grasps", "contacts", *(f"verdicts/{p}-{t}" for p, t in sorted(tests))]
+def row_table_names(header: Header, tests: Sequence[tuple[str, str]]) -> list[str]:
+    """The row tables of a release with these arms and verdicts."""
+    verdicts = (f"verdicts/{p}-{t}" for p, t in sorted(tests))
+    return ["grasps", "contacts", *arms_tables(header), *verdicts]
 
 
 def _row_tables(release: Release) -> Iterator[tuple[str, pa.Table]]:
     for configuration in release.configurations:
         for split in release.split_names:
-            for table in row_table_names(release.protocols):
+            for table in row_table_names(release.header, release.protocols):
                 for rows in release.row_groups(table, configuration, split):
                     yield f"{configuration}/{split}/{table}", rows

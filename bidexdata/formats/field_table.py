@@ -100,7 +100,9 @@ def _flat() -> str:
     columns = flat_columns()
     lines += [_flat_line(c) for c in columns if c.field.table == "grasps"]
     lines.append("| `protocol` | string |  | protocol of the verdicts and metrics |")
-    lines += [_flat_line(c) for c in columns if c.field.table != "grasps"]
+    lines += [_flat_line(c) for c in columns if c.field.table == "verdicts"]
+    lines.append("| `rig` | string |  | rig of the arms |")
+    lines += [_flat_line(c) for c in columns if c.field.table == "arms"]
     return "\n".join(lines) + "\n"
 
 

@@ -2,7 +2,7 @@
 
 Its columns follow from the field table: every scalar column of a grasp, then for each test of one
 protocol every scalar verdict column with the test's letter behind it (`suc_f`, `drift_pos_f`),
-then the metrics. Empty means that nothing is known: not tested, not measured, not imported.
+then the metrics, the rig and every scalar column of its arms. Empty means that nothing is known: not tested, not measured, not imported.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ OF_GRASP = (*MEASURED, *ANALYTIC)
 """Verdict columns that do not depend on the test; a row's are from the first test that was run on
 it."""
 GRASP = tuple(n for n in columns_of_table("grasps") if not FIELDS[n].axes)
+ARMS = tuple(n for n in columns_of_table("arms") if not FIELDS[n].axes)
 PER_TEST = tuple(
     n for n in columns_written_by("validate") if not FIELDS[n].axes and n not in OF_GRASP
 )
@@ -52,14 +53,15 @@ class FlatColumn(NamedTuple):
 
 
 def flat_columns() -> list[FlatColumn]:
-    """All columns in order, without `protocol`, which stands before the first verdict."""
+    """All columns in order but two: `protocol`, before the first verdict, and `rig`, before the arms."""
     tests = [
         FlatColumn(f"suc_{test}" if name == "success" else f"{name}_{test}", FIELDS[name], test)
         for test in TESTS
         for name in PER_TEST
     ]
     measured = [FlatColumn(name, FIELDS[name]) for name in OF_GRASP if name in FIELDS]
-    return [*(FlatColumn(name, FIELDS[name]) for name in GRASP), *tests, *measured]
+    arms = [FlatColumn(name, FIELDS[name]) for name in ARMS]
+    return [*(FlatColumn(name, FIELDS[name]) for name in GRASP), *tests, *measured, *arms]
 
 
 def flat_schema() -> pa.Schema:
@@ -68,27 +70,33 @@ def flat_schema() -> pa.Schema:
 
     fields = [pa.field(c.name, _kind(c)) for c in flat_columns()]
     fields.insert(len(GRASP), pa.field("protocol", pa.string()))
+    fields.insert(len(fields) - len(ARMS), pa.field("rig", pa.string()))
     return pa.schema(fields)
 
 
 def flat_rows(
-    columns: Mapping[str, np.ndarray], verdicts: Mapping[str, Verdicts], protocol: str
+    columns: Mapping[str, np.ndarray],
+    verdicts: Mapping[str, Verdicts],
+    protocol: str,
+    rig: str = "",
 ) -> pa.Table:
     """Make rows of the flat table.
 
     Args:
-        columns: Grasp columns by name; those that are missing stay empty.
+        columns: Columns of grasps and arms by name; those that are missing stay empty.
         verdicts: Per test; missing ones stay empty.
         protocol: Whose verdicts they are; empty where there are none.
+        rig: Whose arms they are; likewise.
     """
     import pyarrow as pa
 
     n = len(columns["grasp_id"])
     tests = [verdicts[test] for test in TESTS if test in verdicts]
-    arrays: dict[str, Any] = {"protocol": pa.array([protocol or None] * n, pa.string())}
+    words = {"protocol": protocol, "rig": rig}
+    arrays: dict[str, Any] = {k: pa.array([w or None] * n, pa.string()) for k, w in words.items()}
     for column in flat_columns():
         name = column.field.name
-        if name in GRASP:
+        if name in GRASP or name in ARMS:
             values, known = columns.get(name), np.ones(n, bool)
         elif not column.test:
             values, known = of_first_test(name, n, tests), np.ones(n, bool)

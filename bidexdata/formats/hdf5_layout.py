@@ -4,7 +4,7 @@ Group `/<configuration>/<split>` holds `values` and `contacts`, the float column
 of the contacts table, (N, W) float32 each, one row per grasp; the attribute `columns` names their
 columns. Every integer or boolean column is a dataset of its own (booleans int8; -1 = null).
 Where the rows stand in this file alone, text columns are datasets of UTF-8 bytes of one width,
-padded with zeros, and `verdicts/<protocol>-<test>` are groups of the same kind.
+padded with zeros, and `verdicts/<protocol>-<test>` and `arms/<rig>` are groups of the same kind.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 TRAINING_FILE = "grasps.h5"
-VALUES, CONTACTS, VERDICTS = "values", "contacts", "verdicts"
+VALUES, CONTACTS, VERDICTS, ARMS = "values", "contacts", "verdicts", "arms"
 INTEGER_LISTS = tuple(
     f.name
     for f in FIELDS.values()
@@ -47,7 +47,7 @@ class MappedValues(NamedTuple):
 
 def group_name(configuration: str, split: str, table: str = "grasps") -> str:
     """Group of a row table; grasps and contacts share one."""
-    inner = f"/{table}" if table.startswith(f"{VERDICTS}/") else ""
+    inner = f"/{table}" if table.startswith((f"{VERDICTS}/", f"{ARMS}/")) else ""
     return f"{configuration}/{split}{inner}"
 
 
@@ -140,7 +140,7 @@ def split_files(root: Path, table: str, configuration: str, split: str) -> list[
 
     Args:
         root: Release folder.
-        table: `grasps`, `contacts` or `verdicts/<protocol>-<test>`.
+        table: `grasps`, `contacts`, `arms/<rig>` or `verdicts/<protocol>-<test>`.
         configuration: `selected` or `audit`.
         split: One split.
     """

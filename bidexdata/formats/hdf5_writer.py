@@ -28,7 +28,7 @@ from bidexdata.formats.hdf5_layout import (
     split_files,
     text_columns,
 )
-from bidexdata.formats.tables import CONFIGURATIONS, column_field
+from bidexdata.formats.tables import CONFIGURATIONS, arms_tables, column_field
 from bidexdata.record.batch import SCHEMA_VERSION, field_metadata
 
 if TYPE_CHECKING:
@@ -54,8 +54,8 @@ def write_training_form(
         root: Release folder.
         splits: Its splits.
         about: Attributes of the file: names and versions, see `about_release`.
-        whole_tests: Where given, the file also gets the text columns and the verdicts of these
-            tests, so that it holds the rows alone.
+        whole_tests: Where given, the file also gets the text columns, the arm solutions and the
+            verdicts of these tests, so that it holds the rows alone.
     """
     import h5py
 
@@ -117,8 +117,10 @@ def _write_group(
     whole = whole_tests is not None
     _copy(_target(group, VALUES, split_files(root, "grasps", *place), texts=whole))
     _copy(_target(group, CONTACTS, split_files(root, "contacts", *place)))
-    for protocol, test in whole_tests or ():
-        name = f"{VERDICTS}/{protocol}-{test}"
+    names = [f"{VERDICTS}/{protocol}-{test}" for protocol, test in whole_tests or ()]
+    schema = parquet.read_schema(split_files(root, "grasps", *place)[0])
+    names += arms_tables(header_of_schema(schema)) if whole else ()
+    for name in names:
         inner = group.create_group(name, track_order=True)
         _copy(_target(inner, VALUES, split_files(root, name, *place)))
 

@@ -40,14 +40,16 @@ def hub_metadata(root: Path, head: Mapping[str, Any]) -> str:
         "task_categories": ["robotics"],
         "tags": ["dexterous grasping", *hands, "grasp synthesis", "bidexdata"],
         "size_categories": [_size_category(head["figures"]["selected_rows"])],
-        "configs": _configs(root, [f"{p}-{t}" for p, t in head["tests"]]),
+        "configs": _configs(root, [f"{p}-{t}" for p, t in head["tests"]], head.get("rigs", [])),
     }
     return "---\n" + yaml.safe_dump(data, sort_keys=False) + "---\n"
 
 
-def _configs(root: Path, tests: list[str]) -> list[dict[str, Any]]:
+def _configs(root: Path, tests: list[str], rigs: list[str]) -> list[dict[str, Any]]:
     tables = [("selected", "grasps"), ("audit", "grasps_audit")]
     tables += [("contacts", "contacts"), ("contacts_audit", "contacts_audit")]
+    for rig in rigs:
+        tables += [(f"arms-{rig}", f"arms/{rig}"), (f"arms_audit-{rig}", f"arms_audit/{rig}")]
     for test in tests:
         tables.append((f"verdicts-{test}", f"verdicts/{test}"))
         tables.append((f"verdicts_audit-{test}", f"verdicts_audit/{test}"))

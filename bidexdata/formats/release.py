@@ -111,6 +111,11 @@ class Release:
         return tuple((p, t) for p, t in self.manifest["tests"])
 
     @property
+    def rig(self) -> str:
+        """Name of the rig that the rows have arm solutions of; empty where they have none."""
+        return self.header.arms[0].rig if self.header.arms else ""
+
+    @property
     def protocol_settings(self) -> dict[str, Any]:
         """Settings of every protocol that has verdicts, plain data by name."""
         return self.manifest.get("protocols", {})
@@ -303,13 +308,7 @@ class Release:
         return hdf5.read_rows(self.path, table, configuration, split, schema, low, high)
 
     def _own_schema(self, table: str) -> pa.Schema:
-        kind = table.partition("/")[0]
-        make = {
-            "grasps": tables.grasps_schema,
-            "contacts": tables.contacts_schema,
-            "verdicts": tables.verdicts_schema,
-        }[kind]
-        schema = make(self.header)
+        schema = tables.row_schema(table, self.header)
         return tables.with_fields(schema, [f for f in schema if not self.header.lacks(f.name)])
 
     def _chosen(self, split: str | None) -> tuple[str, ...]:
@@ -389,6 +388,38 @@ class Release:
             return GraspBatch.concat(parts)
         empty = next(self.batches(configuration, split, protocol, test))
         return empty.select(slice(0, 0))
+
+    def with_arms(self, batch: GraspBatch) -> GraspBatch:
+        """Join rows of this release with their arm solutions.
+
+        Args:
+            batch: Rows of one object, in any order.
+
+        Raises:
+            NotUsable: The release has no arm solutions.
+            Contradiction: It has none of a row.
+        """
+        import pyarrow as pa
+
+        if not self.rig:
+            raise NotUsable(
+                f"{self.path} has no arm solutions; pack runs that `bidexdata arms` solved"
+            )
+        table, parts = tables.arms_tables(self.header)[0], []
+        for object_id in np.unique(batch["object_id"]).tolist():
+            for configuration in self.configurations:
+                rows = self.row_index(configuration)
+                ranges = rows.object_ranges(object_id)
+                parts += [rows.read(low, high, table, None) for low, high in ranges]
+        found = pa.concat_tables(parts).to_batches() if parts else []
+        solved = GraspBatch.from_arrow(pa.Table.from_batches(found, self._own_schema(table)))
+        ids, first = np.unique(solved["grasp_id"], return_index=True)
+        at = np.minimum(np.searchsorted(ids, batch["grasp_id"]), max(len(ids) - 1, 0))
+        if len(batch) and (not len(ids) or np.any(ids[at] != batch["grasp_id"])):
+            raise Contradiction(f"{self.path}: {table} lacks rows of the grasps")
+        chosen = solved.select(first[at] if len(batch) else slice(0, 0))
+        more = {n: chosen[n] for n in tables.ARM_COLUMNS}
+        return GraspBatch(self.header, {**batch.columns, **more})
 
     def stored(
         self, object_id: str | None = None, *, protocol: str | None = None, test: str = "f"

@@ -17,6 +17,7 @@ from bidexdata.formats.licences import IDS_ONLY, POLICIES
 from bidexdata.formats.manifest import MANIFEST, sha256_of
 from bidexdata.formats.pages import Picture
 from bidexdata.formats.release import Release, write_release
+from bidexdata.formats.rig_files import ReleaseRig, read_rig_files
 from bidexdata.formats.rows import ReleaseRows, RunInfo
 from bidexdata.formats.splits import ALL, Splitting, check_rule
 from bidexdata.formats.stored_parts import StoredParts, run_infos, tests_of
@@ -109,6 +110,7 @@ def rewrite(
         pictures=pictures,
         stored=parts,
         derived=_derived(releases, what),
+        rig=_rig(releases),
         on_object=on_object,
     )
 
@@ -209,6 +211,23 @@ def _check_together(releases: Sequence[Release]) -> None:
                     f"object {object_id} has another shape in {release.path} than in {where}; "
                     "releases of equally prepared objects can be merged"
                 )
+
+
+def _rig(releases: Sequence[Release]) -> ReleaseRig | None:
+    """The rig of the arm solutions that some of the releases have."""
+    found: tuple[Release, ReleaseRig] | None = None
+    for release in releases:
+        if not release.rig:
+            continue
+        rig = read_rig_files(release.path, release.header.arms)
+        if found is None:
+            found = release, rig
+        elif (found[1].arms, found[1].document) != (rig.arms, rig.document):
+            raise NotUsable(
+                f"{release.path} has arm solutions of rig {rig.name} and {found[0].path} of "
+                f"{found[1].name}, or of another version of it; they cannot be one release"
+            )
+    return None if found is None else found[1]
 
 
 def _protocol(releases: Sequence[Release], wanted: str | None) -> str:

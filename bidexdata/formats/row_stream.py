@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from bidexdata.formats.row_groups import aligned
-from bidexdata.formats.tables import CONTACT_COLUMNS, GRASP_COLUMNS, VERDICT_COLUMNS
+from bidexdata.formats.tables import (
+    ARM_COLUMNS,
+    CONTACT_COLUMNS,
+    GRASP_COLUMNS,
+    VERDICT_COLUMNS,
+    arms_tables,
+)
 from bidexdata.record import GraspBatch, Header
 
 if TYPE_CHECKING:
@@ -29,6 +35,8 @@ class TableRows(NamedTuple):
     """None where contacts are not read."""
     judged: tuple[pa.Table, ...]
     """One table per (protocol, test), in the order of `Release.protocols`."""
+    arms: pa.Table | None = None
+    """None where the release has no rig, or contacts are not read."""
 
     @property
     def n(self) -> int:
@@ -71,9 +79,16 @@ class TableRows(NamedTuple):
         found = GraspBatch.from_arrow(self.judged[test])
         return {n: found[n] for n in VERDICT_COLUMNS if n in found}
 
+    def solved(self) -> dict[str, np.ndarray]:
+        """Columns of the arm solutions; none where they are not read."""
+        if self.arms is None:
+            return {}
+        found = GraspBatch.from_arrow(self.arms)
+        return {n: found[n] for n in ARM_COLUMNS if n in found}
+
     def _each(self, change: Callable[[pa.Table], pa.Table]) -> TableRows:
-        contacts = None if self.contacts is None else change(self.contacts)
-        return TableRows(change(self.grasps), contacts, tuple(change(t) for t in self.judged))
+        contacts, arms = (None if t is None else change(t) for t in (self.contacts, self.arms))
+        return TableRows(change(self.grasps), contacts, tuple(change(t) for t in self.judged), arms)
 
 
 def joined(parts: Sequence[TableRows]) -> TableRows:
@@ -83,11 +98,12 @@ def joined(parts: Sequence[TableRows]) -> TableRows:
     def one(tables: Sequence[Any]) -> Any:
         return pa.concat_tables(tables).combine_chunks()
 
-    contacts = [part.contacts for part in parts]
+    contacts, arms = [part.contacts for part in parts], [part.arms for part in parts]
     return TableRows(
         one([part.grasps for part in parts]),
         None if contacts[0] is None else one(contacts),
         tuple(one(tables) for tables in zip(*(part.judged for part in parts), strict=True)),
+        None if arms[0] is None else one(arms),
     )
 
 
@@ -107,10 +123,11 @@ class RowStream:
             release: Where.
             configuration: `selected` or `audit`.
             split: One split.
-            contacts: Read the contacts too.
+            contacts: Read the contacts and the arms too.
         """
         self._tests = ["verdicts/" + "-".join(key) for key in release.protocols]
-        names = ("grasps", *(("contacts",) if contacts else ()), *self._tests)
+        self._more = ("contacts", *arms_tables(release.header)) if contacts else ()
+        names = ("grasps", *self._more, *self._tests)
         self._groups = aligned(release, dict.fromkeys(names), configuration, split)
         self._others = configuration != "selected" and "selected" in release.configurations
         self._wait_for(next(self._groups))  # a table without rows still gives its schema
@@ -140,8 +157,9 @@ class RowStream:
 
     def _wait_for(self, tables: tuple[pa.Table, ...]) -> None:
         grasps, *others = tables
-        contacts = others.pop(0) if len(others) > len(self._tests) else None
-        self._waiting = TableRows(grasps, contacts, tuple(others))
+        more = [*others[: len(self._more)], None, None]
+        judged = tuple(others[len(self._more) :])
+        self._waiting = TableRows(grasps, more[0], judged, more[1])
         # The objects of a group as text: one string per object, not one per row.
         ends = grasps.column("object_id").combine_chunks().dictionary_encode()
         self._owners: list[str] = ends.dictionary.to_pylist()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bidexdata.formats import parquet, tables
 from bidexdata.formats.background import Background
@@ -16,6 +16,7 @@ from bidexdata.formats.content_hash import ContentTally, row_table_names
 from bidexdata.formats.rows import (
     ObjectRows,
     TestKey,
+    arms_table,
     contacts_table,
     grasps_table,
     verdicts_table,
@@ -48,11 +49,12 @@ class RowWriters:
         self.statistics = {name: StatisticsTally() for name in splits}
         """Of the selected rows of every split."""
         self._root, self._tests, self._content = root, tuple(tests), content
+        self._arms = tables.arms_tables(header)
         self._threads: dict[Place, Background] = {}
         self._writers: dict[Place, parquet.TableWriter] = {}
         for configuration in CONFIGURATIONS:
             for split in splits:
-                for table in row_table_names(tests):
+                for table in row_table_names(header, tests):
                     self._add_writer((configuration, split, table), header)
 
     @property
@@ -72,6 +74,7 @@ class RowWriters:
         for configuration in CONFIGURATIONS:
             mine = rows.select(rows.batch[configuration])
             made = {"grasps": grasps_table(mine, protocol), "contacts": contacts_table(mine)}
+            made |= {name: arms_table(mine) for name in self._arms}
             made |= {f"verdicts/{p}-{t}": verdicts_table(mine, (p, t)) for p, t in self._tests}
             for table, part in made.items():
                 self._writers[configuration, split, table].add_object(part)
@@ -92,7 +95,7 @@ class RowWriters:
         configuration, split, table = place
         first, _, rest = table.partition("/")
         suffix = "" if configuration == "selected" else f"_{configuration}"
-        schema = _SCHEMAS[first](header)
+        schema = tables.row_schema(table, header)
         watch = self._watcher(place)
         watch(schema.empty_table())
         self._threads[place] = Background()
@@ -108,7 +111,7 @@ class RowWriters:
     def _watcher(self, place: Place) -> Callable[[pa.Table], None]:
         configuration, split, table = place
         name = "/".join(place)
-        summed = configuration == CONFIGURATION and not table.startswith("verdicts")
+        summed = configuration == CONFIGURATION and table in ("grasps", "contacts")
         tally = self.statistics[split] if summed else None
 
         def watch(rows: pa.Table) -> None:
@@ -117,10 +120,3 @@ class RowWriters:
                 tally.add(rows)
 
         return watch
-
-
-_SCHEMAS: dict[str, Any] = {
-    "grasps": tables.grasps_schema,
-    "contacts": tables.contacts_schema,
-    "verdicts": tables.verdicts_schema,
-}

@@ -10,10 +10,12 @@ import numpy as np
 
 from bidexdata.errors import NotUsable
 from bidexdata.formats.tables import (
+    ARM_COLUMNS,
     CONTACT_COLUMNS,
     GRASP_COLUMNS,
     SORTED_BY,
     VERDICT_COLUMNS,
+    arms_schema,
     contacts_schema,
     grasps_schema,
     of_first_test,
@@ -41,6 +43,8 @@ class ReleaseRows:
     scenes without stored rows included."""
     verdicts: Mapping[TestKey, Mapping[str, np.ndarray]] = field(default_factory=dict)
     """Columns written by validate, per (protocol, test), row by row; missing = not tested."""
+    arms: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Columns written by the stage arms, row by row, of the release's rig; none = not asked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +71,15 @@ class ObjectRows(NamedTuple):
     run: np.ndarray
     verdicts: Mapping[TestKey, Mapping[str, np.ndarray]]
     tested: Mapping[TestKey, np.ndarray]
+    arms: Mapping[str, np.ndarray]
+    """Empty where the release has no rig."""
 
     def select(self, mask: np.ndarray) -> ObjectRows:
         """Keep rows."""
         verdicts = {k: {c: v[mask] for c, v in d.items()} for k, d in self.verdicts.items()}
         tested = {k: v[mask] for k, v in self.tested.items()}
-        return ObjectRows(self.batch.select(mask), self.run[mask], verdicts, tested)
+        arms = {k: v[mask] for k, v in self.arms.items()}
+        return ObjectRows(self.batch.select(mask), self.run[mask], verdicts, tested, arms)
 
 
 def join_rows(
@@ -108,7 +115,9 @@ def join_rows(
         }
         flags = [np.full(len(p.batch), key in p.verdicts) for p in parts]
         tested[key] = np.concatenate(flags) if flags else np.zeros(0, bool)
-    rows = ObjectRows(GraspBatch(header, columns), run, verdicts, tested)
+    rows = ObjectRows(
+        GraspBatch(header, columns), run, verdicts, tested, _joined_arms(parts, header)
+    )
     order = np.lexsort([columns[c] for c in reversed(SORTED_BY)])
     rows = rows.select(order)
     _refuse_duplicates(rows)
@@ -135,6 +144,12 @@ def grasps_table(rows: ObjectRows, protocol: str) -> pa.Table:
     for name in MEASURED:
         columns[name] = pa.array(of_first_test(name, n, tests))
     return pa.Table.from_arrays([_array(columns[f.name]) for f in schema], schema=schema)
+
+
+def arms_table(rows: ObjectRows) -> pa.Table:
+    """Table of arm solutions, same rows and order as the grasps table."""
+    columns = {"grasp_id": rows.batch["grasp_id"], **rows.arms}
+    return GraspBatch(rows.batch.header, columns).to_arrow().cast(arms_schema(rows.batch.header))
 
 
 def contacts_table(rows: ObjectRows) -> pa.Table:
@@ -176,6 +191,9 @@ def _checked(
             raise BadRecord(
                 f"run {part.run}: verdicts of {key} have {lengths} rows, not {len(batch)}"
             )
+    lengths = {len(v) for v in part.arms.values()} - {len(batch)}
+    if lengths or (part.arms and batch.header.arms != header.arms):
+        raise BadRecord(f"run {part.run}: its arm solutions are of other rows or another rig")
     n = len(batch)
     full = empty_columns(header, (*GRASP_COLUMNS, *CONTACT_COLUMNS), n)
     full["selected"] = np.ones(n, bool)  # imported rows without flags are the data set itself
@@ -185,7 +203,17 @@ def _checked(
     # Rows without a flag belong to no configuration.
     keep = batch["selected"] | batch["audit"]
     verdicts = {k: {c: v[keep] for c, v in d.items()} for k, d in part.verdicts.items()}
-    return ReleaseRows(part.run, batch.select(keep), verdicts)
+    arms = {c: v[keep] for c, v in part.arms.items()}
+    return ReleaseRows(part.run, batch.select(keep), verdicts, arms)
+
+
+def _joined_arms(parts: Sequence[ReleaseRows], header: Header) -> dict[str, np.ndarray]:
+    """Columns of the arms of all parts; those that were not asked for have fill values."""
+    if not header.arms:
+        return {}
+    none = empty_columns(header, ARM_COLUMNS, 0)
+    made = [{**empty_columns(header, ARM_COLUMNS, len(p.batch)), **p.arms} for p in parts]
+    return {c: np.concatenate([none[c], *(one[c] for one in made)]) for c in ARM_COLUMNS}
 
 
 def _verdict(part: ReleaseRows, key: TestKey, header: Header) -> dict[str, np.ndarray]:

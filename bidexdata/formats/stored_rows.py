@@ -48,7 +48,7 @@ class StoredRows:
             scenes: Which scenes are wanted, by their row of the scenes table.
             choose: Which rows of those are wanted; then scenes without such a row are left out.
             run_names: New name of every run, where they change.
-            contacts: Read the contacts too.
+            contacts: Read the contacts and the arms too.
         """
         self.release, self._choose = release, choose
         self._names = run_names or {}
@@ -123,9 +123,13 @@ class StoredRows:
             part = rows
             if len(patterns) > 1:
                 part = rows.select((tested == np.asarray(pattern)[:, None]).all(axis=0))
-            header = Header(self.release.hands, counts=counts if k == 0 else {})
+            header = Header(
+                self.release.hands,
+                counts=counts if k == 0 else {},
+                arms=self.release.header.arms,
+            )
             verdicts = {key: part.verdicts(i) for i, key in enumerate(tests) if pattern[i]}
-            yield ReleaseRows(name, part.batch(header), verdicts)
+            yield ReleaseRows(name, part.batch(header), verdicts, part.solved())
 
     def _counts(
         self, scenes: Mapping[str, Mapping[str, Any]], of_row: np.ndarray, run: np.ndarray

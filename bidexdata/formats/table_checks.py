@@ -35,6 +35,7 @@ def row_tables(release: Release) -> str:
     expected = {
         "grasps": tables.grasps_schema(header),
         "contacts": tables.contacts_schema(header),
+        **{name: tables.arms_schema(header) for name in tables.arms_tables(header)},
         **{f"verdicts/{p}-{t}": tables.verdicts_schema(header) for p, t in release.protocols},
     }
     counts = {}

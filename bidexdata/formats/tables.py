@@ -95,6 +95,7 @@ NULLABLE = tuple(f"suc_{test}" for test in TESTS)
 
 GRASP_COLUMNS = columns_of_table("grasps")
 CONTACT_COLUMNS = columns_of_table("contacts")
+ARM_COLUMNS = columns_of_table("arms")
 VERDICT_COLUMNS = columns_written_by("validate")
 
 
@@ -116,6 +117,27 @@ def grasps_schema(header: Header) -> pa.Schema:
 def contacts_schema(header: Header) -> pa.Schema:
     """Schema of the contacts table: one row per row of the grasps table, same order."""
     return arrow_schema(header, ("grasp_id", *CONTACT_COLUMNS))
+
+
+def arms_schema(header: Header) -> pa.Schema:
+    """Schema of the table of arm solutions; rows as in the grasps table, status -1 = not asked for."""
+    return arrow_schema(header, ("grasp_id", *ARM_COLUMNS))
+
+
+def arms_tables(header: Header) -> tuple[str, ...]:
+    """The tables of arm solutions of a release with this header: `arms/<rig>`, or none."""
+    return tuple(dict.fromkeys(f"arms/{arm.rig}" for arm in header.arms))
+
+
+def row_schema(table: str, header: Header) -> pa.Schema:
+    """Schema of a row table by its name."""
+    make = {
+        "grasps": grasps_schema,
+        "contacts": contacts_schema,
+        "arms": arms_schema,
+        "verdicts": verdicts_schema,
+    }[table.partition("/")[0]]
+    return make(header)
 
 
 def verdicts_schema(header: Header) -> pa.Schema:

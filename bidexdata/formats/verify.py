@@ -16,6 +16,7 @@ from typing import Any
 
 from bidexdata.errors import BidexError, Contradiction, NotUsable
 from bidexdata.formats import (
+    arm_checks,
     contact_checks,
     content_checks,
     figure_checks,
@@ -121,6 +122,7 @@ def _plain_laws(release: Release) -> list[Law]:
         ("golden", lambda: golden.golden_tree(release)),
         ("rows", lambda: row_checks.rows(release)),
         ("verdict tables", lambda: verdict_checks.verdict_tables(release)),
+        *_of_arms(release, ("arms", lambda: arm_checks.arm_rows(release))),
         ("rates", lambda: table_checks.rates(release)),
         ("layout", lambda: training_checks.training_layout(release)),
         ("card", lambda: figure_checks.card(release)),
@@ -136,6 +138,7 @@ def _full_laws(
         ("golden again", lambda: golden.golden_xml(release)),
         ("training form", lambda: training_checks.training_values(release)),
         ("joint limits", lambda: row_checks.joint_limits(release)),
+        *_of_arms(release, ("hands on arms", lambda: arm_checks.arm_poses(release))),
         ("contacts", lambda: contact_checks.contacts(release)),
         ("figures", lambda: figure_checks.figures(release)),
         ("statistics", lambda: content_checks.statistics(release)),
@@ -146,6 +149,10 @@ def _full_laws(
             ("verdicts", lambda: verdict_checks.verdicts(release, resimulate, sample, seed))
         )
     return laws
+
+
+def _of_arms(release: Release, law: Law) -> list[Law]:
+    return [law] if release.rig else []
 
 
 def _open(path: Path) -> Release | Check:

@@ -26,6 +26,7 @@ from bidexdata.formats.object_pass import EachObject, ObjectPass, one_by_one
 from bidexdata.formats.object_table import objects_table, runs_table, scene_rows, scenes_table
 from bidexdata.formats.pages import Picture, write_pages, write_pictures
 from bidexdata.formats.parts import PreparedParts, StoredParts
+from bidexdata.formats.rig_files import ReleaseRig, write_rig
 from bidexdata.formats.row_writer import RowWriters
 from bidexdata.formats.rows import ReleaseRows, RunInfo, TestKey, join_rows
 from bidexdata.formats.scene_facts import ScenePhysics
@@ -87,6 +88,7 @@ def write_release(
     pictures: Callable[[Path, Mapping[str, Any]], Sequence[Picture]] | None = None,
     stored: StoredParts | None = None,
     derived: Mapping[str, Any] | None = None,
+    rig: ReleaseRig | None = None,
 ) -> ReleaseSummary:
     """Write a release folder from batches and objects.
 
@@ -121,6 +123,7 @@ def write_release(
         stored: Writes objects and hands that are stored already, in place of `load_object` and
             `hands`.
         derived: What the manifest says of the releases that this one is made of.
+        rig: Whose arm solutions rows bring; none where they bring none.
 
     Raises:
         UnknownChoice: No such rule of splitting or policy.
@@ -134,7 +137,8 @@ def write_release(
     ids = sorted(set(object_ids))
     about = about or About()
     parts = stored or PreparedParts(hands, each_object or one_by_one(load_object), cloud_points)
-    header = Header(hands=parts.hands, version=_package_version())
+    arms = rig.arms if rig is not None else ()
+    header = Header(hands=parts.hands, version=_package_version(), arms=arms)
     content = ContentTally()
     with new_folder(out) as partial:
         one = ObjectPass(partial, parts.cloud_points, shapes=licences != IDS_ONLY)
@@ -144,6 +148,8 @@ def write_release(
         shares = {"test_fraction": test_fraction, "seed": seed}
         split = splitting or split_rows(split_by, objects, sizes_mm, **shares)
         parts.write_hands(partial)
+        if rig is not None:
+            write_rig(partial, rig)
         settings = (protocols or {}).get(default_protocol)
         written = _write_rows(
             partial,
@@ -185,6 +191,7 @@ def write_release(
             "figures": written.figures.pop(default_protocol),
             "other_figures": written.figures,
             **({"derived": dict(derived)} if derived else {}),
+            **({"rigs": [rig.name]} if rig is not None else {}),
         }
         _write_hdf5(partial, form, head, tests)
         head["pictures"] = write_pictures(partial, pictures(partial, head) if pictures else ())
@@ -277,7 +284,7 @@ def _write_hdf5(root: Path, form: Form, head: Mapping[str, Any], tests: Sequence
     hdf5.write_training_form(root, SPLITS, about=hdf5.about_release(head), whole_tests=whole)
     for configuration in CONFIGURATIONS if form == "hdf5" else ():
         suffix = "" if configuration == "selected" else f"_{configuration}"
-        for table in ("grasps", "contacts", "verdicts"):
+        for table in ("grasps", "contacts", "arms", "verdicts"):
             shutil.rmtree(root / f"{table}{suffix}", ignore_errors=True)
 
 

@@ -18,9 +18,10 @@ from bidexdata.record import GraspBatch, HandHeader
 from bidexdata.record.batch import empty_columns
 from bidexdata.record.fields import TESTS, columns_written_by
 from bidexdata.record.status import Status
-from bidexdata.runs.chosen import chosen_protocol
+from bidexdata.runs.chosen import chosen_protocol, refuse_other_rig
 
 if TYPE_CHECKING:
+    from bidexdata.arms.robot import Robot
     from bidexdata.formats.release import Release
     from bidexdata.hands.model import Hand
     from bidexdata.objects.library import Library
@@ -72,23 +73,39 @@ class Browsable(Protocol):
         """Load the hands, in the order of the H axis; none for a library."""
         ...
 
+    @property
+    def rig(self) -> str:
+        """Name of the rig whose arms are meant; empty where nothing has arm solutions."""
+        ...
 
-def open_browsable(path: str | Path, protocol: str | None = None) -> Browsable:
+    def arms(self, object_id: str) -> GraspBatch | None:
+        """All stored rows of one object that have arm solutions, with them."""
+        ...
+
+    def robot(self) -> Robot | None:
+        """Load the rig with the hands; None where nothing has arm solutions."""
+        ...
+
+
+def open_browsable(
+    path: str | Path, protocol: str | None = None, rig: str | Path | None = None
+) -> Browsable:
     """Open whatever is at `path`.
 
     Args:
         path: A library, a run or a release.
         protocol: Whose verdicts are meant; see `chosen_protocol` when omitted.
+        rig: Whose arms are meant; see `Run.rig` when omitted.
 
     Raises:
         PathNotFound: There is neither a library, a run nor a release.
-        UnknownName: There are no verdicts of the protocol.
+        UnknownName: There are no verdicts of the protocol, or no arm solutions of the rig.
         NotUsable: There is no saying which protocol is meant, or a library, which has no verdicts.
         Contradiction: It is damaged.
     """
     kind = expect_kind(path, "library", "run", "release")
     sources = {"library": LibrarySource, "run": RunSource, "release": ReleaseSource}
-    return sources[kind](Path(path), protocol)
+    return sources[kind](Path(path), protocol, rig)
 
 
 class LibrarySource:
@@ -98,9 +115,10 @@ class LibrarySource:
     test = protocol = ""
     tests: tuple[str, ...] = ()
 
-    def __init__(self, path: Path, protocol: str | None = None):
+    def __init__(self, path: Path, protocol: str | None = None, rig: str | Path | None = None):
         from bidexdata.objects.library import Library
 
+        refuse_other_rig(path, "", rig)
         if protocol is not None:
             raise NotUsable(f"{path} is a library: it has no verdicts of {protocol!r}")
         self.path = path
@@ -131,17 +149,30 @@ class LibrarySource:
         """No hands."""
         return ()
 
+    @property
+    def rig(self) -> str:
+        """None."""
+        return ""
+
+    def arms(self, object_id: str) -> GraspBatch | None:
+        """None: a library holds no grasps."""
+        return None
+
+    def robot(self) -> Robot | None:
+        """None."""
+        return None
+
 
 class RunSource:
     """Rows of a run, also of one that is still being made; verdicts where they are there."""
 
     kind: Kind = "run"
 
-    def __init__(self, path: Path, protocol: str | None = None):
+    def __init__(self, path: Path, protocol: str | None = None, rig: str | Path | None = None):
         from bidexdata.runs.run import Run
 
         self.path = path
-        self.run: Run = Run.open(path)
+        self.run: Run = Run.open(path, rig=rig)
         tests = self.run.verdict_tests()
         self.protocol = chosen_protocol(path, tests, protocol)
         self.tests = _tests_of(self.protocol, tests)
@@ -188,17 +219,42 @@ class RunSource:
         """Load the run's hands."""
         return self.run.hands()
 
+    @property
+    def rig(self) -> str:
+        """The run's."""
+        return self.run.rig
+
+    def arms(self, object_id: str) -> GraspBatch | None:
+        """Rows of the tasks whose arms are solved by now."""
+        from bidexdata.runs.run import join_tasks
+
+        tasks = [t for t in self.run.tasks_of(object_id) if self.run.is_armed(t)]
+        found = [self.run.task_arms(t, self.run.task_batch(t)) for t in tasks]
+        return join_tasks(found) if found else None
+
+    def robot(self) -> Robot | None:
+        """The run's."""
+        return self.run.robot() if self.run.rig else None
+
 
 class ReleaseSource:
     """Rows of a release, selected and audit, with the verdicts of one protocol."""
 
     kind: Kind = "release"
 
-    def __init__(self, path: Path, protocol: str | None = None, *, release: Release | None = None):
+    def __init__(
+        self,
+        path: Path,
+        protocol: str | None = None,
+        rig: str | Path | None = None,
+        *,
+        release: Release | None = None,
+    ):
         from bidexdata.formats.release import Release
 
         self.path = path
         self.release: Release = Release.open(path) if release is None else release
+        refuse_other_rig(path, self.release.rig, rig)
         tests, default = self.release.protocols, self.release.default_protocol
         self.protocol = chosen_protocol(path, tests, protocol, default=default)
         self.tests = _tests_of(self.protocol, tests)
@@ -245,6 +301,37 @@ class ReleaseSource:
             NotUsable: A hand is not known here, or its joints are others.
         """
         return tuple(hand_here(header, self.path) for header in self.release.hands)
+
+    @property
+    def rig(self) -> str:
+        """The release's."""
+        return self.release.rig
+
+    def arms(self, object_id: str) -> GraspBatch | None:
+        """Selected rows, then audit rows that are not selected too."""
+        if not self.release.rig:
+            return None
+        batch = self.release.stored(object_id)
+        return self.release.with_arms(batch) if len(batch) else None
+
+    def robot(self) -> Robot | None:
+        """The rig of this installation that has the release's name and content.
+
+        Raises:
+            NotUsable: There is none, or it has changed.
+        """
+        from bidexdata.arms.registry import load_rig
+        from bidexdata.arms.robot import mount_robot
+
+        if not self.release.rig:
+            return None
+        robot = mount_robot(load_rig(self.release.rig), self.hands())
+        if robot.digest != self.release.header.arms[0].rig_hash:
+            raise NotUsable(
+                f"{self.path}: its rig {self.release.rig!r} is another than that of this name here; "
+                "use the version of bidexdata that made it"
+            )
+        return robot
 
 
 def rows_by_test(

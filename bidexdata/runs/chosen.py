@@ -44,6 +44,25 @@ def chosen_protocol(
     return known[0]
 
 
+def refuse_other_rig(path: str | Path, own: str, asked: str | Path | None) -> None:
+    """Refuse to go on with a rig that a library or release has no arm solutions of.
+
+    Args:
+        path: What is looked into, for messages.
+        own: Name of the rig that it has solutions of; empty for none.
+        asked: A name, or the path of a spec; None asks for none.
+
+    Raises:
+        UnknownName: It is another.
+    """
+    from bidexdata.runs.arm_folder import rig_name
+
+    if asked is not None and rig_name(asked) != own:
+        raise UnknownName(
+            f"rig with arm solutions in {path}", rig_name(asked), [own] if own else []
+        )
+
+
 def check_protocol(tests: Iterable[tuple[str, str]], asked: str | None) -> None:
     """Refuse to go on with a protocol that there are no verdicts of; None asks for none.
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from bidexdata.formats.content_hash import ContentTally
 from bidexdata.record import GraspBatch
+from bidexdata.record.fields import columns_written_by
 from bidexdata.runs.finished import Finished
 
 if TYPE_CHECKING:
@@ -33,6 +34,10 @@ def run_content_hash(run: Run) -> str:
         batch = run.task_batch(task)
         tally.add("rows", batch.to_arrow())
         tally.add("counts", _counts(batch))
+        if task.task_id in finished.armed:
+            solved = run.task_arms(task, batch)
+            columns = {n: solved[n] for n in ("grasp_id", *columns_written_by("arms"))}
+            tally.add(f"arms/{run.rig}", GraspBatch(solved.header, columns).to_arrow())
         for (protocol, test), done in finished.verdicts.items():
             if task.task_id in done:
                 columns = run.task_verdicts(task, batch, protocol, test)

@@ -13,7 +13,7 @@ import numpy as np
 from bidexdata.errors import NotUsable, UnknownName
 from bidexdata.kinds import expect_kind
 from bidexdata.record import Status
-from bidexdata.runs.chosen import check_protocol
+from bidexdata.runs.chosen import check_protocol, refuse_other_rig
 from bidexdata.runs.finished import Finished
 from bidexdata.runs.pack import count_tested, rows_of_object
 from bidexdata.runs.run import Run
@@ -27,7 +27,10 @@ if TYPE_CHECKING:
 
 
 def describe(
-    path: str | Path, by: str | None = None, protocol: str | None = None
+    path: str | Path,
+    by: str | None = None,
+    protocol: str | None = None,
+    rig: str | Path | None = None,
 ) -> dict[str, Any]:
     """Describe a library, a run or a release as plain data (the keys of `info --json`).
 
@@ -37,10 +40,12 @@ def describe(
             (protocol, test, group).
         protocol: Whose figures and groups; when omitted the figures of a release's default
             protocol, or of all that a run has verdicts of, and the groups of all.
+        rig: Whose arms are meant in a run that has solutions of several rigs; see `Run.rig`.
 
     Raises:
         PathNotFound: There is none of the three.
-        UnknownName: There is no such grouping, or there are no verdicts of this protocol.
+        UnknownName: There is no such grouping, or there are no verdicts of this protocol or arms of
+            this rig.
         NotUsable: A library, which holds no grasps, is to be grouped.
         Contradiction: It is damaged.
     """
@@ -52,9 +57,12 @@ def describe(
         raise UnknownName("grouping", by, BY)
     kind = expect_kind(path, "library", "run", "release")
     if kind == "release":
-        return describe_release(Release.open(path), by, protocol)
+        release = Release.open(path)
+        refuse_other_rig(path, release.rig, rig)
+        return describe_release(release, by, protocol)
     if kind == "run":
-        return describe_run(Run.open(path), by, protocol)
+        return describe_run(Run.open(path, rig=rig), by, protocol)
+    refuse_other_rig(path, "", rig)
     check_protocol((), protocol)
     if by is not None:
         raise NotUsable(f"{path} is a library: it holds no grasps that --by {by} could group")
@@ -115,6 +123,7 @@ def describe_run(run: Run, by: str | None = None, protocol: str | None = None) -
         "seed": spec.seed,
         "objects": len(run.object_ids),
         "tasks": len(run.tasks),
+        "rig": run.rig,
         "done": stages,
         "made_with": made_with_of(run, finished),
         "figures": figures[protocols[0]],

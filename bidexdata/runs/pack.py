@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from bidexdata.config import to_plain
 from bidexdata.errors import NotUsable
+from bidexdata.record import GraspBatch
+from bidexdata.record.fields import columns_written_by
 from bidexdata.record.scene import scene_parts
 from bidexdata.record.settings import differing_settings, fuller_settings
 from bidexdata.runs.chosen import DEFAULT_PROTOCOL, chosen_protocol
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 
     from bidexdata.formats.citation import About
     from bidexdata.formats.release import ReleaseRows, RunInfo
+    from bidexdata.formats.rig_files import ReleaseRig
     from bidexdata.objects.prepared import PreparedObject
 
 
@@ -92,6 +95,7 @@ def pack_runs(
     protocol: str | None = None,
     seed: int = 0,
     about: About | None = None,
+    rig: str | Path | None = None,
     pictures: bool = True,
     quiet: bool = False,
 ) -> PackReport:
@@ -110,6 +114,7 @@ def pack_runs(
             the runs have verdicts of when omitted.
         seed: Seed of the split into train and test.
         about: Authors, date and address of the data set.
+        rig: Whose arm solutions are packed, of runs that have those of several; see `Run.rig`.
         pictures: Draw the card's picture.
         quiet: No progress.
 
@@ -128,8 +133,9 @@ def pack_runs(
     check_names(Path(out), name, version, form)  # before anything is read
     check_policy(licences)
     check_rule(split)
-    runs = _named([Run.open(p) for p in paths])
+    runs = _named([_opened(Run.open(p), rig) for p in paths])
     _check_hands(runs)
+    arms = _rig(runs)
     objects = _objects(runs)
     left_out = _refused_by_licence(objects, licences)
     ids = sorted(set(objects) - {o.object_id for o in left_out})
@@ -168,6 +174,7 @@ def pack_runs(
             sizes_mm=_sizes(runs, set(ids)),
             licences=licences,
             about=about,
+            rig=arms,
             pictures=card_pictures if pictures else None,
             form=cast("Any", form),
             on_object=lambda object_id: progress.advance(note=object_id),
@@ -217,7 +224,12 @@ def rows_of_object(
             pairs = zip(tasks, batches, strict=True)
             parts = [run.task_verdicts(t, b, protocol, test) for t, b in pairs]
             verdicts[protocol, test] = {c: np.concatenate([p[c] for p in parts]) for c in parts[0]}
-    return ReleaseRows(name, join_tasks(batches), verdicts)
+    if not {t.task_id for t in tasks} <= finished.armed:
+        return ReleaseRows(name, join_tasks(batches), verdicts)
+    solved = join_tasks([run.task_arms(t, b) for t, b in zip(tasks, batches, strict=True)])
+    arms = {n: solved[n] for n in columns_written_by("arms")}
+    rows = {n: c for n, c in solved.columns.items() if n not in arms}
+    return ReleaseRows(name, GraspBatch(solved.header, rows), verdicts, arms)
 
 
 def run_info(one: NamedRun) -> RunInfo:
@@ -265,6 +277,41 @@ def _check_hands(runs: Sequence[NamedRun]) -> None:
                 f"{other.run.path} has other hands ({other.run.spec.hand}) than {first.run.path} "
                 f"({first.run.spec.hand}), or another version of them; pack them apart"
             )
+
+
+def _opened(run: Run, rig: str | Path | None) -> Run:
+    """The run for the rig that is asked for; as it is, where it has no arm solutions at all."""
+    return run.for_rig(rig) if rig is not None and run.arm_rigs() else run
+
+
+def _rig(runs: Sequence[NamedRun]) -> ReleaseRig | None:
+    """The rig whose arm solutions are packed: that of all runs that have some.
+
+    Raises:
+        NotUsable: They are of different rigs, or were made with different settings.
+    """
+    from bidexdata.formats.rig_files import release_rig
+    from bidexdata.runs.arm_folder import read_record
+
+    armed = [one for one in runs if one.finished.armed]
+    if not armed:
+        return None
+    first = armed[0].run
+    record = read_record(first.path, first.rig)
+    for one in armed[1:]:
+        other = read_record(one.run.path, one.run.rig)
+        ours, theirs = ({**r.identity(), "run": ""} for r in (record, other))
+        differing = differing_keys(ours, theirs)
+        if other.name != record.name or differing:
+            why = f" ({differing[0]})" if other.name == record.name else ""
+            raise NotUsable(
+                f"{one.run.path} has arm solutions of rig {other.name} and {first.path} of "
+                f"{record.name}{why}; a release has those of one: say which with --rig, or pack the "
+                "runs apart"
+            )
+    task = next(t for t in first.tasks if t.task_id in armed[0].finished.armed)
+    header = first.task_arms(task, first.task_batch(task)).header
+    return release_rig(first.robot(), header.arms, record.spec, record.config)
 
 
 def _objects(runs: Sequence[NamedRun]) -> dict[str, Run]:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bidexdata.errors import BadConfig
-from bidexdata.formats.flat import GRASP, Verdicts, flat_rows, flat_schema
-from bidexdata.formats.tables import VERDICT_COLUMNS
+from bidexdata.formats.flat import ARMS, GRASP, Verdicts, flat_rows, flat_schema
+from bidexdata.formats.tables import VERDICT_COLUMNS, arms_tables
 from bidexdata.record import GraspBatch
 from bidexdata.runs.browse import LibrarySource, ReleaseSource, RunSource, open_browsable
 from bidexdata.runs.finished import Finished
@@ -45,7 +45,12 @@ class TableReport:
 
 
 def write_table(
-    path: str | Path, out: str | Path, *, protocol: str | None = None, quiet: bool = False
+    path: str | Path,
+    out: str | Path,
+    *,
+    protocol: str | None = None,
+    rig: str | Path | None = None,
+    quiet: bool = False,
 ) -> TableReport:
     """Write the flat table of whatever is at `path`; an existing file is replaced.
 
@@ -53,6 +58,7 @@ def write_table(
         path: A library, a run or a release.
         out: `.csv` or `.parquet`.
         protocol: Whose verdicts; when omitted a release's default, else `paper-1` or the only one.
+        rig: Whose arms; see `Run.rig` when omitted.
         quiet: No progress.
 
     Raises:
@@ -64,7 +70,7 @@ def write_table(
     out = Path(out)
     if out.suffix.lower() not in ENDINGS:
         raise BadConfig(f"--out {out}: a table is written as one of {', '.join(ENDINGS)}")
-    source = open_browsable(path, protocol)
+    source = open_browsable(path, protocol, rig)
     if isinstance(source, LibrarySource):
         whole = library_rows(source.library)
         schema, tables, total, quiet = whole.schema, iter([whole]), 1, True
@@ -106,12 +112,14 @@ def run_rows(run: Run, protocol: str) -> Iterator[pa.Table]:
         parts = []
         for task in finished.tasks_of(run, object_id):
             batch = run.task_batch(task)
+            arms = run.task_arms(task, batch).columns if task.task_id in finished.armed else {}
             verdicts = {
                 t: Verdicts(run.task_verdicts(task, batch, protocol, t), np.ones(len(batch), bool))
                 for t in tests
                 if task.task_id in finished.verdicts[protocol, t]
             }
-            parts.append(flat_rows(batch.columns, verdicts, protocol))
+            columns = {**arms, **batch.columns}
+            parts.append(flat_rows(columns, verdicts, protocol, run.rig if arms else ""))
         if parts:
             yield pa.concat_tables(parts)
 
@@ -121,16 +129,20 @@ def release_rows(release: Release, protocol: str) -> Iterator[pa.Table]:
     tests = [t for p, t in release.protocols if p == protocol]
     names = [n for n in GRASP if not release.header.lacks(n)]
     for configuration in release.configurations:
-        tables = ["grasps", *(f"verdicts/{protocol}-{t}" for t in tests)]
-        chosen = [names, *(None for _ in tests)]
+        own = arms_tables(release.header)
+        tables = ["grasps", *own, *(f"verdicts/{protocol}-{t}" for t in tests)]
+        chosen = [names, *(["grasp_id", *ARMS] for _ in own), *(None for _ in tests)]
         streams = [
             release.row_groups(table, configuration, columns=columns)
             for table, columns in zip(tables, chosen, strict=True)
         ]
-        for grasps, *judged in zip(*streams, strict=True):
+        for grasps, *others in zip(*streams, strict=True):
             columns = dict(GraspBatch.from_arrow(grasps).columns)
+            for solved in others[: len(own)]:
+                columns |= GraspBatch.from_arrow(solved).columns
+            judged = others[len(own) :]
             verdicts = {t: _verdicts(v) for t, v in zip(tests, judged, strict=True)}
-            rows = flat_rows(columns, verdicts, protocol)
+            rows = flat_rows(columns, verdicts, protocol, release.rig)
             if configuration == "audit":
                 rows = rows.filter(~columns["selected"])
             if rows.num_rows:
