@@ -78,15 +78,15 @@ def test_columns_are_all_scalars_of_the_field_table():
     assert len(set(names)) == len(names)
     for field in FIELDS.values():
         there = [c for c in columns if c.field is field]
-        if field.axes or field.table not in ("grasps", "verdicts"):
+        if field.axes or field.table not in ("grasps", "verdicts", "arms"):
             assert not there, field.name
-        elif field.table == "grasps" or field.name in flat.OF_GRASP:
+        elif field.table in ("grasps", "arms") or field.name in flat.OF_GRASP:
             assert [c.name for c in there] == [field.name]
         else:
             assert [c.test for c in there] == ["f", "l", "a"]
     known = {"grasp_id", "source_ref", "size", "suc_f", "suc_l", "suc_a", "drift_pos_f", "pd"}
     assert known < set(names)
-    assert set(flat_schema().names) == {*names, "protocol"}
+    assert set(flat_schema().names) == {*names, "protocol", "rig"}
 
 
 def test_a_run_without_verdicts_has_empty_verdicts(bare, tmp_path):
