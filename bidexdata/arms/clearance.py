@@ -1,18 +1,21 @@
 """How far arms stand from table, object, themselves and each other, by spheres: the search's view.
 
-MuJoCo has the final word on a path. Here wrist and forearm count to the arm, hands do not. Links
-before the second joint stand in one place and count only against the arm itself.
+MuJoCo has the final word on a path. Here wrist and forearm count to the arm; hands count where they
+are given, and never against the arm that carries them. Links before the second joint stand in one
+place and count only against the arm itself.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from bidexdata.arms.arm_spheres import place_spheres
+from bidexdata.arms.chain import chain_forward
 from bidexdata.arms.inverse_kinematics import chain_on_device
 from bidexdata.arms.robot import Arm
 from bidexdata.devices import start_warp
@@ -21,6 +24,9 @@ from bidexdata.objects.prepared import SignedDistanceGrid
 
 FAR = 1e3
 """Clearance from what is not there [m]."""
+_ROUNDING = 1e-5
+"""What the balls round groups are larger by than they need be, for float32 [m]."""
+_NO_FIELD = SignedDistanceGrid(np.zeros((2, 2, 2), np.float32), np.zeros(3), 1.0)
 
 
 class Placed(NamedTuple):
@@ -35,6 +41,15 @@ class Placed(NamedTuple):
     rot: Float[np.ndarray, "N 3 3"]
 
 
+class HeldHands(NamedTuple):
+    """The spheres of one hand in the posture of each row of configurations."""
+
+    pos: Float[np.ndarray, "N K 3"]
+    """Centres in the hand frame [m]."""
+    radius: Float[np.ndarray, " K"]
+    """[m]."""
+
+
 class Clearances(NamedTuple):
     """Least distances of one arm [m]; negative where spheres overlap."""
 
@@ -46,7 +61,12 @@ class Clearances(NamedTuple):
 
 
 def clearances(
-    arm: Arm, q: Float[np.ndarray, "N *c A"], placed: Placed | None, *, device: str = "cpu"
+    arm: Arm,
+    q: Float[np.ndarray, "N *c A"],
+    placed: Placed | None,
+    hands: HeldHands | None = None,
+    *,
+    device: str = "cpu",
 ) -> Clearances:
     """Clearance of one arm alone.
 
@@ -54,6 +74,7 @@ def clearances(
         arm: The arm.
         q: Configurations, one row per object pose [rad].
         placed: The objects; none for arm, table and fixtures alone.
+        hands: The hand, for each row, where it counts.
         device: A Warp device.
     """
     import warp as wp
@@ -65,16 +86,17 @@ def clearances(
     count = int(np.prod(shape))
     if count == 0:
         return Clearances(np.zeros(shape), np.zeros(shape), np.zeros(shape))
-    centre = _centres(arm, q, device)
+    side = _place(arm, q, hands, device)
     out = [wp.empty(count, dtype=float, device=device) for _ in range(3)]
     wp.launch(
         clear_alone,
         dim=count,
         inputs=[
-            _spheres_on_device(arm, device),
+            side.spheres,
+            side.hand,
             *_object_on_device(placed, len(q), device),
-            count // len(q),
-            centre,
+            side.per_row,
+            side.centre,
             *out,
         ],
         device=device,
@@ -84,9 +106,10 @@ def clearances(
 
 def clearance_between(
     arms: tuple[Arm, Arm],
-    left: Float[np.ndarray, "L A"],
-    right: Float[np.ndarray, "R B"],
+    left: Float[np.ndarray, "L *c A"],
+    right: Float[np.ndarray, "R *d B"],
     pairs: Int[np.ndarray, "M 2"],
+    hands: tuple[HeldHands, HeldHands] | None = None,
     *,
     device: str = "cpu",
 ) -> Float[np.ndarray, " M"]:
@@ -96,7 +119,8 @@ def clearance_between(
         arms: Left and right.
         left: Configurations of the left arm [rad].
         right: Of the right arm [rad].
-        pairs: Which are taken together, row numbers of both.
+        pairs: Which are taken together, numbers of both in C order.
+        hands: The hands, for each row of configurations, where they count.
         device: A Warp device.
     """
     import warp as wp
@@ -108,88 +132,170 @@ def clearance_between(
     start_warp()
     out = wp.empty(len(pairs), dtype=float, device=device)
     chosen = wp.array(np.ascontiguousarray(pairs, np.int32), dtype=int, device=device)
-    spheres = [_spheres_on_device(arm, device) for arm in arms]
-    centres = [_centres(arms[0], left, device), _centres(arms[1], right, device)]
+    one, other = (
+        _place(arm, q, None if hands is None else hands[h], device)
+        for h, (arm, q) in enumerate(zip(arms, (left, right), strict=True))
+    )
     wp.launch(
         clear_of_each_other,
         dim=len(pairs),
-        inputs=[*spheres, *centres, chosen, out],
+        inputs=[one.spheres, other.spheres, one.hand, other.hand, one.per_row, other.per_row,
+                one.centre, other.centre, chosen, out],
         device=device,
-    )
+    )  # fmt: skip
     return out.numpy().astype(np.float64)
 
 
 def clearances_reference(
-    arm: Arm, q: Float[np.ndarray, "N *c A"], placed: Placed | None
+    arm: Arm,
+    q: Float[np.ndarray, "N *c A"],
+    placed: Placed | None,
+    hands: HeldHands | None = None,
 ) -> Clearances:
     """`clearances` in NumPy and float64."""
     centre, radius = place_spheres(arm.chain, arm.spheres, q), arm.spheres.radius
+    a, b = arm.spheres.against_self.T
+    apart = np.linalg.norm(centre[..., a, :] - centre[..., b, :], axis=-1) - radius[a] - radius[b]
+    itself = np.min(apart, axis=-1, initial=FAR)
     moving = slice(_first_moving(arm), None)
-    far = centre[..., moving, :]
-    table = np.min(far[..., 2] - radius[moving], axis=-1, initial=FAR)
+    far, radius = centre[..., moving, :], radius[moving]
+    if hands is not None:
+        far = np.concatenate([far, held_spheres(arm, q, hands)], axis=-2)
+        radius = np.concatenate([radius, hands.radius])
+    table = np.min(far[..., 2] - radius, axis=-1, initial=FAR)
     near = np.full(table.shape, FAR)
     if placed is not None:
         for n in range(len(q)):
             x = (far[n] - placed.pos[n]) @ placed.rot[n]
             distance = signed_distance(placed.field, float(placed.size[n]), x)[0]
-            near[n] = np.min(distance - radius[moving], axis=-1, initial=FAR)
-    a, b = arm.spheres.against_self.T
-    apart = np.linalg.norm(centre[..., a, :] - centre[..., b, :], axis=-1) - radius[a] - radius[b]
-    itself = np.min(apart, axis=-1, initial=FAR)
+            near[n] = np.min(distance - radius, axis=-1, initial=FAR)
     for box in arm.fixtures:
         out = np.abs(far - np.array(box.pos)) - np.array(box.half)
         outside = np.linalg.norm(np.maximum(out, 0.0), axis=-1)
-        gap = outside + np.minimum(out.max(axis=-1), 0.0) - radius[moving]
+        gap = outside + np.minimum(out.max(axis=-1), 0.0) - radius
         itself = np.minimum(itself, np.min(gap, axis=-1, initial=FAR))
     return Clearances(table, near, itself)
+
+
+def held_spheres(
+    arm: Arm, q: Float[np.ndarray, "N *c A"], hands: HeldHands
+) -> Float[np.ndarray, "N *c K 3"]:
+    """Centres of the spheres of a hand in the world [m] at joint angles [rad] of its arm."""
+    pos, rot = chain_forward(arm.chain, q)
+    local = hands.pos.reshape(len(q), *[1] * (q.ndim - 2), *hands.pos.shape[1:])
+    return pos[..., None, :] + np.einsum("...ij,...kj->...ki", rot, local)
+
+
+class _Side(NamedTuple):
+    """One arm with its hand at some configurations, on a device."""
+
+    spheres: Any
+    hand: Any
+    per_row: int
+    centre: Any
+
+
+def _place(arm: Arm, q: np.ndarray, hands: HeldHands | None, device: str) -> _Side:
+    import warp as wp
+
+    from bidexdata.arms.clearance_kernels import place_arm_spheres
+
+    flat = np.ascontiguousarray(q.reshape(-1, arm.chain.joints), np.float32)
+    per_row = max(1, len(flat) // max(1, len(q)))
+    spheres = _spheres_on_device(arm, device)
+    hand = _nothing_held(device) if hands is None else _hands_on_device(hands, device)
+    held = 0 if hands is None else len(hands.radius)
+    width = len(arm.spheres.radius) + spheres.group_joint.shape[0] + (held + 1 if held else 0)
+    centre = wp.empty((len(flat), width), dtype=wp.vec3, device=device)
+    wp.launch(
+        place_arm_spheres,
+        dim=len(flat),
+        inputs=[
+            chain_on_device(arm.chain, device),
+            spheres,
+            hand,
+            per_row,
+            wp.array(flat, dtype=float, device=device),
+            centre,
+        ],
+        device=device,
+    )
+    return _Side(spheres, hand, per_row, centre)
+
+
+def _hands_on_device(hands: HeldHands, device: str) -> Any:
+    import warp as wp
+
+    from bidexdata.arms.clearance_kernels import HandArrays
+
+    arrays, count = HandArrays(), len(hands.pos)
+    middle = 0.5 * (hands.pos.min(axis=1) + hands.pos.max(axis=1))
+    wide = np.max(
+        np.linalg.norm(hands.pos - middle[:, None], axis=-1) + hands.radius, axis=1, initial=0.0
+    )
+    arrays.pos = wp.array(
+        np.ascontiguousarray(hands.pos, np.float32), dtype=wp.vec3, shape=hands.pos.shape[:2],
+        device=device,
+    )  # fmt: skip
+    arrays.radius = wp.array(hands.radius.astype(np.float32), dtype=float, device=device)
+    arrays.ball_pos = _vectors(middle, device, count)
+    arrays.ball_radius = wp.array((wide + _ROUNDING).astype(np.float32), dtype=float, device=device)
+    return arrays
+
+
+@lru_cache(maxsize=4)
+def _nothing_held(device: str) -> Any:
+    import warp as wp
+
+    from bidexdata.arms.clearance_kernels import HandArrays
+
+    arrays = HandArrays()
+    arrays.pos = wp.empty((0, 0), dtype=wp.vec3, device=device)
+    arrays.radius = wp.empty(0, dtype=float, device=device)
+    arrays.ball_pos = wp.empty(0, dtype=wp.vec3, device=device)
+    arrays.ball_radius = wp.empty(0, dtype=float, device=device)
+    return arrays
 
 
 def _first_moving(arm: Arm) -> int:
     return int(np.searchsorted(arm.spheres.joint, 1))
 
 
-def _centres(arm: Arm, q: np.ndarray, device: str) -> Any:
-    import warp as wp
-
-    from bidexdata.arms.clearance_kernels import place_arm_spheres
-
-    flat = np.ascontiguousarray(q.reshape(-1, arm.chain.joints), np.float32)
-    centre = wp.zeros((len(flat), len(arm.spheres.radius)), dtype=wp.vec3, device=device)
-    wp.launch(
-        place_arm_spheres,
-        dim=len(flat),
-        inputs=[
-            chain_on_device(arm.chain, device),
-            _spheres_on_device(arm, device),
-            wp.array(flat, dtype=float, device=device),
-            centre,
-        ],
-        device=device,
-    )
-    return centre
-
-
 def _object_on_device(placed: Placed | None, rows: int, device: str) -> list[Any]:
     import warp as wp
 
+    from bidexdata.arms.clearance_kernels import ObjectArrays
+
+    around = ObjectArrays()
+    around.present = 0 if placed is None else 1
     if placed is None:
-        nothing = SignedDistanceGrid(np.zeros((2, 2, 2), np.float32), np.zeros(3), 1.0)
-        placed = Placed(
-            nothing, np.ones(rows), np.zeros((rows, 3)), np.tile(np.eye(3), (rows, 1, 1))
-        )
-        present = 0
-    else:
-        present = 1
-    size = np.ascontiguousarray(placed.size, np.float32)
-    pos = np.ascontiguousarray(placed.pos, np.float32)
+        placed = Placed(_NO_FIELD, np.ones(rows), np.zeros((rows, 3)), np.zeros((rows, 3, 3)))
+    around.reach = _reach(placed.field)
+    around.size = wp.array(
+        np.ascontiguousarray(placed.size, np.float32), dtype=float, device=device
+    )
+    around.pos = _vectors(placed.pos, device, rows)
     rot = np.ascontiguousarray(placed.rot, np.float32)
-    return [
-        _field_on_device(placed.field, device),
-        present,
-        wp.array(size, dtype=float, device=device),
-        wp.array(pos, dtype=wp.vec3, shape=(rows,), device=device),
-        wp.array(rot, dtype=wp.mat33, shape=(rows,), device=device),
-    ]
+    around.rot = wp.array(rot, dtype=wp.mat33, shape=(rows,), device=device)
+    return [_field_on_device(placed.field, device), around]
+
+
+def _vectors(values: np.ndarray, device: str, count: int) -> Any:
+    import warp as wp
+
+    values = np.ascontiguousarray(values, np.float32).reshape(-1, 3)
+    return wp.array(values, dtype=wp.vec3, shape=(count,), device=device)
+
+
+@lru_cache(maxsize=16)
+def _reach(field: SignedDistanceGrid) -> float:
+    """Distance from the origin that no point of the solid is beyond, at unit diagonal."""
+    inside = np.argwhere(field.values <= field.cell)
+    if not len(inside):
+        return 0.0
+    # A cell's diagonal more: the surface lies between nodes.
+    points = field.origin + field.cell * inside
+    return float(np.linalg.norm(points, axis=1).max() + 2 * field.cell)
 
 
 @lru_cache(maxsize=16)
@@ -204,16 +310,60 @@ def _spheres_on_device(arm: Arm, device: str) -> Any:
 
     from bidexdata.arms.clearance_kernels import SphereArrays
 
-    def vectors(values: np.ndarray) -> Any:
-        values = np.ascontiguousarray(values, np.float32).reshape(-1, 3)
-        return wp.array(values, dtype=wp.vec3, shape=(len(values),), device=device)
+    def numbers(values: Any, dtype: Any = int) -> Any:
+        kind = np.int32 if dtype is int else np.float32
+        return wp.array(np.ascontiguousarray(values, kind), dtype=dtype, device=device)
+
+    def vectors(values: list[Any] | np.ndarray) -> Any:
+        return _vectors(np.array(values, np.float64), device, len(values))
 
     arrays, spheres = SphereArrays(), arm.spheres
-    arrays.joint = wp.array(spheres.joint.astype(np.int32), dtype=int, device=device)
+    groups = _groups(arm)
+    pairs, pair_groups, pair_first = _grouped_pairs(arm, groups.first)
+    arrays.joint = numbers(spheres.joint)
     arrays.pos = vectors(spheres.pos)
-    arrays.radius = wp.array(spheres.radius.astype(np.float32), dtype=float, device=device)
-    arrays.pairs = wp.array(spheres.against_self.astype(np.int32), dtype=int, device=device)
-    arrays.fixture_pos = vectors(np.array([box.pos for box in arm.fixtures]))
-    arrays.fixture_half = vectors(np.array([box.half for box in arm.fixtures]))
-    arrays.first_moving = _first_moving(arm)
+    arrays.radius = numbers(spheres.radius, float)
+    arrays.pairs = numbers(pairs)
+    arrays.pair_groups = numbers(pair_groups)
+    arrays.pair_first = numbers(pair_first)
+    arrays.group_first = numbers(groups.first)
+    arrays.group_joint = numbers(spheres.joint[groups.first[:-1]])
+    arrays.group_pos = vectors(groups.pos)
+    arrays.group_radius = numbers(groups.radius, float)
+    arrays.fixture_pos = vectors([box.pos for box in arm.fixtures])
+    arrays.fixture_half = vectors([box.half for box in arm.fixtures])
+    arrays.first_group = int(np.searchsorted(groups.first[:-1], _first_moving(arm)))
     return arrays
+
+
+class _Groups(NamedTuple):
+    """Balls round the spheres of one body each."""
+
+    first: np.ndarray
+    """First sphere of each group, and the number of spheres."""
+    pos: np.ndarray
+    radius: np.ndarray
+
+
+def _groups(arm: Arm) -> _Groups:
+    spheres = arm.spheres
+    keys = list(zip(spheres.joint.tolist(), spheres.part, strict=True))
+    first = [k for k in range(len(keys)) if k == 0 or keys[k] != keys[k - 1]]
+    pos, radius = [], []
+    for a, b in pairwise([*first, len(keys)]):
+        own = spheres.pos[a:b]
+        middle = 0.5 * (own.min(axis=0) + own.max(axis=0))
+        pos.append(middle)
+        apart = np.linalg.norm(own - middle, axis=1) + spheres.radius[a:b]
+        radius.append(float(apart.max()) + _ROUNDING)
+    return _Groups(np.array([*first, len(keys)]), np.array(pos), np.array(radius))
+
+
+def _grouped_pairs(arm: Arm, first: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs of spheres that may meet by the groups that they are of; those groups; where they begin."""
+    pairs = arm.spheres.against_self
+    of = np.searchsorted(first, pairs, side="right") - 1
+    order = np.lexsort((of[:, 1], of[:, 0]))
+    pairs, of = pairs[order], of[order]
+    starts = [k for k in range(len(of)) if k == 0 or (of[k] != of[k - 1]).any()]
+    return pairs, of[starts].reshape(-1, 2), np.array([*starts, len(pairs)])

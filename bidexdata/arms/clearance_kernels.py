@@ -1,7 +1,8 @@
-"""Warp kernels of clearance: spheres of arms against all around them and against each other.
+"""Warp kernels of clearance: spheres of arms and hands against all around them and each other.
 
 One thread per configuration. Everything is in the world frame [m]; clearances are negative where
-spheres overlap.
+spheres overlap. Spheres come in groups that lie in a ball each, and a group whose ball is farther away
+than what is nearest so far is passed over, which changes no result.
 """
 
 import warp as wp
@@ -16,16 +17,51 @@ FAR = wp.constant(1.0e3)
 
 @wp.struct
 class SphereArrays:
-    """The spheres of one arm on a device; shapes and units as in `ArmSpheres`."""
+    """The spheres of one arm on a device; shapes and units as in `ArmSpheres`.
+
+    The ball of group g is number K + g among the centres, behind those of the spheres; that of the
+    hand, if there is one, is the last.
+    """
 
     joint: wp.array(dtype=int)
     pos: wp.array(dtype=wp.vec3)
     radius: wp.array(dtype=float)
     pairs: wp.array2d(dtype=int)
+    pair_groups: wp.array2d(dtype=int)
+    """Groups whose spheres may meet, (P', 2)."""
+    pair_first: wp.array(dtype=int)
+    """First pair of each of them, and the number of pairs, (P' + 1)."""
+    group_first: wp.array(dtype=int)
+    """First sphere of each group, and the number of spheres, (G + 1)."""
+    group_joint: wp.array(dtype=int)
+    group_pos: wp.array(dtype=wp.vec3)
+    group_radius: wp.array(dtype=float)
     fixture_pos: wp.array(dtype=wp.vec3)
     fixture_half: wp.array(dtype=wp.vec3)
-    first_moving: int
-    """First sphere that a second joint of the chain, or a later one, moves."""
+    first_group: int
+    """First group that a second joint of the chain, or a later one, moves."""
+
+
+@wp.struct
+class HandArrays:
+    """Spheres of a hand at N postures, and the balls round them; hand frame."""
+
+    pos: wp.array2d(dtype=wp.vec3)
+    radius: wp.array(dtype=float)
+    ball_pos: wp.array(dtype=wp.vec3)
+    ball_radius: wp.array(dtype=float)
+
+
+@wp.struct
+class ObjectArrays:
+    """The object of each row of configurations."""
+
+    present: int
+    reach: float
+    """Of the solid from its origin, at unit diagonal."""
+    size: wp.array(dtype=float)
+    pos: wp.array(dtype=wp.vec3)
+    rot: wp.array(dtype=wp.mat33)
 
 
 @wp.kernel
@@ -33,26 +69,45 @@ def place_arm_spheres(
     # Arm:
     chain: ChainArrays,
     spheres: SphereArrays,
+    hand: HandArrays,
+    per_row: int,
     # Configurations in:
     q_in: wp.array2d(dtype=float),
     # Centres out:
     centre_out: wp.array2d(dtype=wp.vec3),
 ):
-    """Place the spheres, which lie in the order of the chain."""
+    """Place spheres and balls, which lie in the order of the chain, and those of the hand."""
     m = wp.tid()
+    n = m / per_row
     at = wp.vec3(0.0, 0.0, 0.0)
     turn = wp.identity(n=3, dtype=float)
     k = wp.int32(0)
+    g = wp.int32(0)
     count = spheres.radius.shape[0]
+    groups = spheres.group_joint.shape[0]
     while k < count and spheres.joint[k] < 0:
         centre_out[m, k] = spheres.pos[k]
         k = k + 1
+    while g < groups and spheres.group_joint[g] < 0:
+        centre_out[m, count + g] = spheres.group_pos[g]
+        g = g + 1
     for j in range(chain.count):
         at = at + turn * chain.before_pos[j]
         turn = turn * chain.before_rot[j] * turn_about(chain.axis[j], q_in[m, j])
         while k < count and spheres.joint[k] == j:
             centre_out[m, k] = at + turn * spheres.pos[k]
             k = k + 1
+        while g < groups and spheres.group_joint[g] == j:
+            centre_out[m, count + g] = at + turn * spheres.group_pos[g]
+            g = g + 1
+    held = hand.radius.shape[0]
+    if held > 0:
+        at = at + turn * chain.end_pos
+        turn = turn * chain.end_rot
+        first = count + groups
+        for i in range(held):
+            centre_out[m, first + i] = at + turn * hand.pos[n, i]
+        centre_out[m, first + held] = at + turn * hand.ball_pos[n]
 
 
 @wp.func
@@ -63,16 +118,114 @@ def box_distance(half: wp.vec3, p: wp.vec3) -> float:
     return wp.length(beyond) + wp.min(wp.max(out[0], wp.max(out[1], out[2])), 0.0)
 
 
+@wp.func
+def fixture_gap(spheres: SphereArrays, p: wp.vec3, r: float) -> float:
+    """Least distance from a sphere to the fixtures."""
+    gap = float(FAR)
+    for f in range(spheres.fixture_pos.shape[0]):
+        gap = wp.min(gap, box_distance(spheres.fixture_half[f], p - spheres.fixture_pos[f]) - r)
+    return gap
+
+
+@wp.func
+def object_gap(field: DistanceField, around: ObjectArrays, n: int, p: wp.vec3, r: float) -> float:
+    """Distance from a sphere to the object of row n."""
+    x = wp.transpose(around.rot[n]) * (p - around.pos[n])
+    return signed_distance(field, around.size[n], x)[0] - r
+
+
+@wp.func
+def object_bound(around: ObjectArrays, n: int, p: wp.vec3, r: float) -> float:
+    """What the distance from a sphere to the object of row n is not below."""
+    return wp.length(p - around.pos[n]) - around.reach * around.size[n] - r
+
+
+@wp.func
+def part_first(spheres: SphereArrays, g: int) -> int:
+    """First centre of group g; the group behind the last is the hand."""
+    groups = spheres.group_joint.shape[0]
+    first = spheres.radius.shape[0] + groups
+    if g < groups:
+        first = spheres.group_first[g]
+    return first
+
+
+@wp.func
+def part_count(spheres: SphereArrays, hand: HandArrays, g: int) -> int:
+    """Spheres of group g, or of the hand."""
+    count = hand.radius.shape[0]
+    if g < spheres.group_joint.shape[0]:
+        count = spheres.group_first[g + 1] - spheres.group_first[g]
+    return count
+
+
+@wp.func
+def part_ball(
+    spheres: SphereArrays,
+    hand: HandArrays,
+    centre_in: wp.array2d(dtype=wp.vec3),
+    m: int,
+    n: int,
+    g: int,
+):
+    """Ball round group g, or round the hand."""
+    count = spheres.radius.shape[0]
+    groups = spheres.group_joint.shape[0]
+    at = count + groups + hand.radius.shape[0]
+    wide = float(0.0)
+    if g < groups:
+        at = count + g
+        wide = spheres.group_radius[g]
+    else:
+        wide = hand.ball_radius[n]
+    return centre_in[m, at], wide
+
+
+@wp.func
+def part_radius(spheres: SphereArrays, hand: HandArrays, k: int) -> float:
+    """Radius of the sphere whose centre is number k."""
+    count = spheres.radius.shape[0]
+    if k < count:
+        return spheres.radius[k]
+    return hand.radius[k - count - spheres.group_joint.shape[0]]
+
+
+@wp.func
+def part_total(spheres: SphereArrays, hand: HandArrays) -> int:
+    """Groups of the arm, and the hand if there is one."""
+    parts = spheres.group_joint.shape[0]
+    if hand.radius.shape[0] > 0:
+        parts = parts + 1
+    return parts
+
+
+@wp.func
+def self_gap(
+    spheres: SphereArrays, centre_in: wp.array2d(dtype=wp.vec3), m: int, least: float
+) -> float:
+    """Least distance between links of the arm, or `least` if that is smaller."""
+    count = spheres.radius.shape[0]
+    for c in range(spheres.pair_groups.shape[0]):
+        g = spheres.pair_groups[c, 0]
+        h = spheres.pair_groups[c, 1]
+        apart = wp.length(centre_in[m, count + g] - centre_in[m, count + h])
+        if apart - spheres.group_radius[g] - spheres.group_radius[h] < least:
+            for i in range(spheres.pair_first[c], spheres.pair_first[c + 1]):
+                a = spheres.pairs[i, 0]
+                b = spheres.pairs[i, 1]
+                gap = wp.length(centre_in[m, a] - centre_in[m, b])
+                least = wp.min(least, gap - spheres.radius[a] - spheres.radius[b])
+    return least
+
+
 @wp.kernel
 def clear_alone(
-    # Arm:
+    # Arm and hand:
     spheres: SphereArrays,
+    hand: HandArrays,
     # Object, one pose per row of configurations:
     field: DistanceField,
-    with_object: int,
-    object_size_in: wp.array(dtype=float),
-    object_pos_in: wp.array(dtype=wp.vec3),
-    object_rot_in: wp.array(dtype=wp.mat33),
+    around: ObjectArrays,
     per_row: int,
     # Configurations in:
     centre_in: wp.array2d(dtype=wp.vec3),
@@ -87,31 +240,38 @@ def clear_alone(
     table = float(FAR)
     near = float(FAR)
     itself = float(FAR)
-    for k in range(spheres.first_moving, spheres.radius.shape[0]):
-        p = centre_in[m, k]
-        r = spheres.radius[k]
-        table = wp.min(table, p[2] - r)
-        if with_object == 1:
-            x = wp.transpose(object_rot_in[n]) * (p - object_pos_in[n])
-            near = wp.min(near, signed_distance(field, object_size_in[n], x)[0] - r)
-        for f in range(spheres.fixture_pos.shape[0]):
-            gap = box_distance(spheres.fixture_half[f], p - spheres.fixture_pos[f]) - r
-            itself = wp.min(itself, gap)
-    for i in range(spheres.pairs.shape[0]):
-        a = spheres.pairs[i, 0]
-        b = spheres.pairs[i, 1]
-        gap = wp.length(centre_in[m, a] - centre_in[m, b]) - spheres.radius[a] - spheres.radius[b]
-        itself = wp.min(itself, gap)
+    parts = part_total(spheres, hand)
+    for back in range(parts - spheres.first_group):
+        g = parts - 1 - back
+        ball, wide = part_ball(spheres, hand, centre_in, m, n, g)
+        by_table = ball[2] - wide < table
+        by_object = around.present == 1 and object_bound(around, n, ball, wide) < near
+        by_fixture = fixture_gap(spheres, ball, wide) < itself
+        if by_table or by_object or by_fixture:
+            first = part_first(spheres, g)
+            for k in range(first, first + part_count(spheres, hand, g)):
+                p = centre_in[m, k]
+                r = part_radius(spheres, hand, k)
+                table = wp.min(table, p[2] - r)
+                if by_object and object_bound(around, n, p, r) < near:
+                    near = wp.min(near, object_gap(field, around, n, p, r))
+                if by_fixture:
+                    itself = wp.min(itself, fixture_gap(spheres, p, r))
     table_out[m] = table
     object_out[m] = near
-    self_out[m] = itself
+    self_out[m] = self_gap(spheres, centre_in, m, itself)
 
 
 @wp.kernel
 def clear_of_each_other(
-    # Arms:
+    # Arms and hands:
     left: SphereArrays,
     right: SphereArrays,
+    left_hand: HandArrays,
+    right_hand: HandArrays,
+    # Rows of configurations, for the hands:
+    left_per_row: int,
+    right_per_row: int,
     # Configurations in:
     left_in: wp.array2d(dtype=wp.vec3),
     right_in: wp.array2d(dtype=wp.vec3),
@@ -120,14 +280,28 @@ def clear_of_each_other(
     # Clearances out:
     gap_out: wp.array(dtype=float),
 ):
-    """Least clearance between two arms."""
+    """Least clearance between two arms with their hands."""
     m = wp.tid()
     a = pair_in[m, 0]
     b = pair_in[m, 1]
+    left_parts = part_total(left, left_hand)
+    right_parts = part_total(right, right_hand)
     least = float(FAR)
-    for i in range(left.radius.shape[0]):
-        p = left_in[a, i]
-        r = left.radius[i]
-        for j in range(right.radius.shape[0]):
-            least = wp.min(least, wp.length(p - right_in[b, j]) - r - right.radius[j])
+    for back in range(left_parts):
+        g = left_parts - 1 - back
+        p, wide = part_ball(left, left_hand, left_in, a, a / left_per_row, g)
+        for behind in range(right_parts):
+            h = right_parts - 1 - behind
+            x, broad = part_ball(right, right_hand, right_in, b, b / right_per_row, h)
+            if wp.length(p - x) - wide - broad < least:
+                first = part_first(left, g)
+                other = part_first(right, h)
+                for i in range(part_count(left, left_hand, g)):
+                    y = left_in[a, first + i]
+                    r = part_radius(left, left_hand, first + i)
+                    if wp.length(y - x) - r - broad < least:
+                        for j in range(part_count(right, right_hand, h)):
+                            gap = wp.length(y - right_in[b, other + j]) - r
+                            s = part_radius(right, right_hand, other + j)
+                            least = wp.min(least, gap - s)
     gap_out[m] = least

@@ -10,15 +10,19 @@ import pytest
 
 from bidexdata.arms.arm_spheres import TOLERANCE, place_spheres, shape_spheres
 from bidexdata.arms.assembly import arm_spec
+from bidexdata.arms.chain import chain_forward
 from bidexdata.arms.clearance import (
     FAR,
+    HeldHands,
     Placed,
     clearance_between,
     clearances,
     clearances_reference,
+    held_spheres,
 )
 from bidexdata.frames import matrix_from_quat, random_quat
 from bidexdata.hands.geometry import body_shapes, surface_samples
+from bidexdata.hands.kinematics import hand_points
 from bidexdata.objects.prepared import SignedDistanceGrid
 
 SINGLE = 2e-5  # float32 at a metre, through a grid
@@ -35,6 +39,11 @@ def ball(radius: float = 0.3) -> SignedDistanceGrid:
 def configurations(arm, rng, shape):
     chain = arm.chain
     return rng.uniform(chain.lower, chain.upper, (*shape, chain.joints))
+
+
+def held_hands(hand, rng, count: int) -> HeldHands:
+    joints = rng.uniform(hand.joint_lower, hand.joint_upper, (count, len(hand.joint_names)))
+    return HeldHands(hand_points(hand, joints).sphere, hand.sphere_radius)
 
 
 def placed(rng, count: int) -> Placed:
@@ -90,6 +99,47 @@ def test_the_kernels_give_what_the_reference_gives(robot, rng, shape):
             np.testing.assert_allclose(
                 getattr(found, name), getattr(expected, name), atol=SINGLE, err_msg=name
             )
+
+
+@pytest.mark.parametrize("shape", [(1,), (5, 3), (4, 2, 3)])
+def test_hands_count_where_they_are_given(robot, rng, shape):
+    for arm, hand in zip(robot.arms, robot.hands, strict=True):
+        q, around = configurations(arm, rng, shape), placed(rng, shape[0])
+        held = held_hands(hand, rng, shape[0])
+        found = clearances(arm, q, around, held)
+        expected = clearances_reference(arm, q, around, held)
+        for name in found._fields:
+            np.testing.assert_allclose(
+                getattr(found, name), getattr(expected, name), atol=SINGLE, err_msg=name
+            )
+        alone = clearances(arm, q, around)
+        assert np.all(found.obj <= alone.obj)
+        assert np.all(found.table <= alone.table)
+
+
+def test_spheres_of_hands_move_as_the_hand_does(robot, rng):
+    arm, hand = robot.arms[0], robot.hands[0]
+    q, held = configurations(arm, rng, (3, 2)), held_hands(hand, rng, 3)
+    pos, rot = chain_forward(arm.chain, q)
+    for n, k in np.ndindex(3, 2):
+        expected = held.pos[n] @ rot[n, k].T + pos[n, k]
+        np.testing.assert_allclose(held_spheres(arm, q, held)[n, k], expected, atol=1e-12)
+
+
+def test_between_two_arms_hands_count_where_they_are_given(robot, rng):
+    shapes = ((4, 2), (3, 1))
+    qs = [configurations(arm, rng, n) for arm, n in zip(robot.arms, shapes, strict=True)]
+    held = tuple(held_hands(h, rng, n[0]) for h, n in zip(robot.hands, shapes, strict=True))
+    pairs = np.array([[0, 0], [7, 2], [3, 1], [6, 1]], np.int32)
+    found = clearance_between(robot.arms, qs[0], qs[1], pairs, held)
+    centre, radius = [], []
+    for arm, q, hand in zip(robot.arms, qs, held, strict=True):
+        balls = [place_spheres(arm.chain, arm.spheres, q), held_spheres(arm, q, hand)]
+        centre.append(np.concatenate(balls, axis=-2).reshape(q.shape[0] * q.shape[1], -1, 3))
+        radius.append(np.concatenate([arm.spheres.radius, hand.radius]))
+    for k, (a, b) in enumerate(pairs):
+        gaps = np.linalg.norm(centre[0][a][:, None] - centre[1][b], axis=-1)
+        assert abs(found[k] - (gaps - radius[0][:, None] - radius[1]).min()) < SINGLE
 
 
 def test_without_an_object_it_is_far(made, rng):
