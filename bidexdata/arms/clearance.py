@@ -1,8 +1,8 @@
 """How far arms stand from table, object, themselves and each other, by spheres: the search's view.
 
 MuJoCo has the final word on a path. Here wrist and forearm count to the arm; hands count where they
-are given, and never against the arm that carries them. Links before the second joint stand in one
-place and count only against the arm itself.
+are given, against the arm that carries them only from its fourth last joint back. Links before the
+second joint stand in one place and count only against the arm itself.
 """
 
 from __future__ import annotations
@@ -160,7 +160,11 @@ def clearances_reference(
     moving = slice(_first_moving(arm), None)
     far, radius = centre[..., moving, :], radius[moving]
     if hands is not None:
-        far = np.concatenate([far, held_spheres(arm, q, hands)], axis=-2)
+        held, back = held_spheres(arm, q, hands), slice(0, _far_from_hand(arm))
+        apart = np.linalg.norm(centre[..., back, None, :] - held[..., None, :, :], axis=-1)
+        gap = apart - arm.spheres.radius[back, None] - hands.radius
+        itself = np.minimum(itself, np.min(gap, axis=(-1, -2), initial=FAR))
+        far = np.concatenate([far, held], axis=-2)
         radius = np.concatenate([radius, hands.radius])
     table = np.min(far[..., 2] - radius, axis=-1, initial=FAR)
     near = np.full(table.shape, FAR)
@@ -206,7 +210,7 @@ def _place(arm: Arm, q: np.ndarray, hands: HeldHands | None, device: str) -> _Si
     hand = _nothing_held(device) if hands is None else _hands_on_device(hands, device)
     held = 0 if hands is None else len(hands.radius)
     width = len(arm.spheres.radius) + spheres.group_joint.shape[0] + (held + 1 if held else 0)
-    centre = wp.empty((len(flat), width), dtype=wp.vec3, device=device)
+    centre = wp.zeros((len(flat), width), dtype=wp.vec3, device=device)
     wp.launch(
         place_arm_spheres,
         dim=len(flat),
@@ -250,15 +254,20 @@ def _nothing_held(device: str) -> Any:
     from bidexdata.arms.clearance_kernels import HandArrays
 
     arrays = HandArrays()
-    arrays.pos = wp.empty((0, 0), dtype=wp.vec3, device=device)
+    arrays.pos = wp.zeros((0, 0), dtype=wp.vec3, device=device)
     arrays.radius = wp.empty(0, dtype=float, device=device)
-    arrays.ball_pos = wp.empty(0, dtype=wp.vec3, device=device)
+    arrays.ball_pos = wp.zeros(0, dtype=wp.vec3, device=device)
     arrays.ball_radius = wp.empty(0, dtype=float, device=device)
     return arrays
 
 
 def _first_moving(arm: Arm) -> int:
     return int(np.searchsorted(arm.spheres.joint, 1))
+
+
+def _far_from_hand(arm: Arm) -> int:
+    """Spheres, from the first on, that the hand of the arm may meet."""
+    return int(np.searchsorted(arm.spheres.joint, arm.chain.joints - 4, side="right"))
 
 
 def _object_on_device(placed: Placed | None, rows: int, device: str) -> list[Any]:
@@ -333,6 +342,7 @@ def _spheres_on_device(arm: Arm, device: str) -> Any:
     arrays.fixture_pos = vectors([box.pos for box in arm.fixtures])
     arrays.fixture_half = vectors([box.half for box in arm.fixtures])
     arrays.first_group = int(np.searchsorted(groups.first[:-1], _first_moving(arm)))
+    arrays.far_groups = int(np.searchsorted(groups.first[:-1], _far_from_hand(arm)))
     return arrays
 
 

@@ -40,6 +40,8 @@ class SphereArrays:
     fixture_half: wp.array(dtype=wp.vec3)
     first_group: int
     """First group that a second joint of the chain, or a later one, moves."""
+    far_groups: int
+    """Groups, from the first on, that the hand of this arm may meet."""
 
 
 @wp.struct
@@ -201,10 +203,29 @@ def part_total(spheres: SphereArrays, hand: HandArrays) -> int:
 
 @wp.func
 def self_gap(
-    spheres: SphereArrays, centre_in: wp.array2d(dtype=wp.vec3), m: int, least: float
+    spheres: SphereArrays,
+    hand: HandArrays,
+    centre_in: wp.array2d(dtype=wp.vec3),
+    m: int,
+    n: int,
+    least: float,
 ) -> float:
-    """Least distance between links of the arm, or `least` if that is smaller."""
+    """Least distance between links of the arm, and from its hand to them, or `least` if smaller."""
     count = spheres.radius.shape[0]
+    held = hand.radius.shape[0]
+    if held > 0:
+        hand_first = count + spheres.group_joint.shape[0]
+        ball = centre_in[m, hand_first + held]
+        for g in range(spheres.far_groups):
+            apart = wp.length(ball - centre_in[m, count + g])
+            if apart - hand.ball_radius[n] - spheres.group_radius[g] < least:
+                for k in range(spheres.group_first[g], spheres.group_first[g + 1]):
+                    p = centre_in[m, k]
+                    r = spheres.radius[k]
+                    if wp.length(ball - p) - hand.ball_radius[n] - r < least:
+                        for i in range(held):
+                            gap = wp.length(p - centre_in[m, hand_first + i]) - r
+                            least = wp.min(least, gap - hand.radius[i])
     for c in range(spheres.pair_groups.shape[0]):
         g = spheres.pair_groups[c, 0]
         h = spheres.pair_groups[c, 1]
@@ -259,7 +280,7 @@ def clear_alone(
                     itself = wp.min(itself, fixture_gap(spheres, p, r))
     table_out[m] = table
     object_out[m] = near
-    self_out[m] = self_gap(spheres, centre_in, m, itself)
+    self_out[m] = self_gap(spheres, hand, centre_in, m, n, itself)
 
 
 @wp.kernel

@@ -74,22 +74,33 @@ class PathConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ApproachConfig:
-    """How arms come from home to the stand-off."""
+class SearchConfig:
+    """How much is tried before a grasp is given up."""
 
-    combinations: int = 12
-    """Pairs of postures that are tried [-]."""
-    vias: int = 3
-    """Postures on the way that are tried where the straight line is blocked [-]."""
-    nodes: int = 400
-    """Nodes of the planner's two trees [-]; 0: no planner."""
+    followed: int = 8
+    """Postures of an arm that are taken through their waypoints at a time, best first [-]."""
+    pairs: int = 12
+    """Pairs of postures of the two arms that are tried [-]."""
+    back_off: float = 0.15
+    """Where the straight way from home to the stand-off is blocked, it goes by a pose this much
+    farther back, one this much higher, or both [m]."""
+    nodes: int = 96
+    """Postures of the planner that is tried after that [-]; 0: none."""
+    neighbours: int = 8
+    """Nearest postures that each of them may go on to [-]."""
+    spread: float = 1.5
+    """How far they lie beside the straight line in joint space [rad]."""
+    replans: int = 24
+    """Ways that the planner checks, shortest first [-]."""
     step: float = 0.1
-    """Largest turn of a joint between checks of the search [rad]."""
+    """Largest turn of a joint between checks of a way [rad]."""
 
     def __post_init__(self) -> None:
-        refuse_outside(self, "combinations", 1, 1024)
-        refuse_outside(self, "vias", 0, 100)
-        refuse_outside(self, "nodes", 0, 100_000)
+        for name in ("followed", "pairs", "neighbours", "replans"):
+            refuse_outside(self, name, 1, 1024)
+        refuse_outside(self, "nodes", 0, 4096)
+        refuse_outside(self, "back_off", 0.01, 1)
+        refuse_outside(self, "spread", 0, 10)
         refuse_outside(self, "step", 0.01, 1)
 
 
@@ -101,4 +112,4 @@ class ArmConfig:
     """Both arms must find a posture that is free, so there are more starts than for one target."""
     clearance: ClearanceConfig = field(default_factory=ClearanceConfig)
     path: PathConfig = field(default_factory=PathConfig)
-    approach: ApproachConfig = field(default_factory=ApproachConfig)
+    search: SearchConfig = field(default_factory=SearchConfig)

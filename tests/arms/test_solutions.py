@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bidexdata.arms import ArmConfig
-from bidexdata.arms.config import ApproachConfig, ClearanceConfig, PathConfig
+from bidexdata.arms.config import ClearanceConfig, PathConfig, SearchConfig
 from bidexdata.arms.solutions import arm_headers, no_solutions
 from bidexdata.errors import BadConfig
 from bidexdata.record import GraspBatch, HandHeader, Header
@@ -49,8 +49,8 @@ def test_rows_without_a_motion_hold_what_stands_for_nothing(made):
         (PathConfig, "speed", 0.0),
         (PathConfig, "largest_step", 2.0),
         (ClearanceConfig, "depth", -0.001),
-        (ApproachConfig, "combinations", 0),
-        (ApproachConfig, "step", 0.0),
+        (SearchConfig, "pairs", 0),
+        (SearchConfig, "step", 0.0),
     ],
 )
 def test_impossible_settings_are_refused_by_their_key(kind, key, value):

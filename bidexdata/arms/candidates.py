@@ -1,0 +1,300 @@
+"""Postures of one arm that take a grasp, and its motion from stand-off to lift in each of them.
+
+A candidate is a posture at the grasp; from it the arm follows the hand's way back to the stand-off
+and on to the lift, waypoint by waypoint. What stops a candidate is its gate, and what stops it there
+its status; a grasp has the status of the candidate that came farthest. By spheres; the world frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from bidexdata.arms.clearance import Placed, clearances
+from bidexdata.arms.config import ArmConfig
+from bidexdata.arms.inverse_kinematics import follow, solve_first, solve_ik
+from bidexdata.arms.robot import Arm, Robot
+from bidexdata.arms.solutions import Targets
+from bidexdata.arms.waypoints import Poses, lifted, line, stand_off
+from bidexdata.frames import matrix_from_quat
+from bidexdata.objects.prepared import SignedDistanceGrid
+from bidexdata.record.status import Status
+
+REACHED, CLEAR, FOLLOWED, FREE = 1, 2, 3, 4
+"""Gates that a candidate passes one after the other: a posture, clear at the grasp, all waypoints,
+clear at all of them."""
+_ALIKE = 0.05
+"""Postures that differ by less in every joint are one [rad]."""
+_KINDS = (Status.COLLISION_TABLE, Status.COLLISION_OBJECT, Status.COLLISION_SELF)
+
+
+class Ways(NamedTuple):
+    """Where one hand goes, T waypoints from stand-off to lift."""
+
+    poses: Poses
+    """(N, T)."""
+    grasp: int
+    """Number of the waypoint that is the grasp."""
+
+
+class Candidates(NamedTuple):
+    """C candidates of one arm for each of N grasps, best first."""
+
+    q: Float[np.ndarray, "N C T A"]
+    """Postures at the waypoints; NaN where there is none [rad]."""
+    gate: Int[np.ndarray, "N C"]
+    """The last gate that each passed; 0: no posture."""
+    status: Int[np.ndarray, "N C"]
+    """What stopped it; OK where nothing did."""
+    room: Float[np.ndarray, "N C"]
+    """Least clearance over the waypoints that are known, capped [m]."""
+    cost: Float[np.ndarray, "N C"]
+    """What is best is least; infinite for those that are stopped."""
+    manipulability: Float[np.ndarray, "N C"]
+    """At the grasp."""
+
+    @property
+    def free(self) -> Bool[np.ndarray, "N C"]:
+        """Which nothing stopped."""
+        return self.gate == FREE
+
+    def outcome(self) -> tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"], Int[np.ndarray, " N"]]:
+        """Of the candidate of each grasp that came farthest: its number, gate and status."""
+        order = np.lexsort((-self.room, -self.gate), axis=1)
+        best = order[:, 0]
+        rows = np.arange(len(best))
+        return best, self.gate[rows, best], self.status[rows, best]
+
+
+def ways(robot: Robot, side: int, targets: Targets, config: ArmConfig) -> Ways:
+    """Give the hand's waypoints of each grasp: stand-off, pre-grasp, grasp, squeeze, lift."""
+    path = config.path
+    pregrasp, grasp, squeeze = (
+        Poses(targets.hand_pos[:, side, s], targets.hand_quat_wxyz[:, side, s]) for s in range(3)
+    )
+    if path.squeeze_palm == "fixed":
+        squeeze = grasp
+    back = stand_off(pregrasp, robot.hands[side].T_hand_palm, path.standoff, path.lowest)
+    frames = [back, pregrasp, grasp, squeeze, lifted(squeeze, path.lift)]
+    _approach, *counts = path.knots
+    parts = [Poses(back.pos[:, None], back.quat_wxyz[:, None])]
+    parts += [line(a, b, n) for a, b, n in zip(frames, frames[1:], counts, strict=False)]
+    joined = Poses(*(np.concatenate(columns, axis=1) for columns in zip(*parts, strict=True)))
+    return Ways(joined, counts[0] + counts[1])
+
+
+def object_along(
+    field: SignedDistanceGrid | None, targets: Targets, config: ArmConfig, count: int
+) -> Placed | None:
+    """The object of `count` grasps at every waypoint, rows (N T): it rises with the hands."""
+    if field is None:
+        return None
+    _approach, reach, close, squeeze, lift = config.path.knots
+    rise = np.concatenate(
+        [np.zeros(1 + reach + close + squeeze), np.arange(1, lift + 1) / lift * config.path.lift]
+    )
+    pos = targets.object_pos + rise[:, None] * np.array([0.0, 0.0, 1.0])
+    rot = np.broadcast_to(matrix_from_quat(targets.object_quat_wxyz), (count * len(rise), 3, 3))
+    return Placed(
+        field, np.full(count * len(rise), targets.size), np.tile(pos, (count, 1)), np.array(rot)
+    )
+
+
+def find_candidates(
+    arm: Arm,
+    way: Ways,
+    field: SignedDistanceGrid | None,
+    targets: Targets,
+    config: ArmConfig,
+    *,
+    device: str = "cpu",
+) -> Candidates:
+    """Find the postures of one arm for N grasps of one scene.
+
+    Args:
+        arm: The arm.
+        way: Of its hand.
+        field: The object; none where it does not count.
+        targets: The grasps.
+        config: How.
+        device: A Warp device.
+    """
+    config = _stricter(config)
+    at, rot = way.poses.pos[:, way.grasp], way.poses.rot[:, way.grasp]
+    found = solve_ik(arm.chain, at, rot, config.ik, device=device)
+    place = object_along(field, targets, config, len(at))
+    waypoints = way.poses.pos.shape[1]
+    here = None if place is None else _rows(place, np.arange(len(at)) * waypoints)
+    gap, kind = _least(arm, found.q, here, config, device)
+    new = found.ok & _distinct(found.q, found.ok)
+    clear = new & (gap >= config.clearance.margin)
+    away = np.linalg.norm(found.q - arm.chain.rest, axis=-1)
+    order, gate = _best_first(new, clear, gap, away, config)
+    q, gap, kind, away, ease = (
+        np.take_along_axis(x, order.reshape(*order.shape, *[1] * (x.ndim - 2)), axis=1)
+        for x in (found.q, gap, kind, away, found.manipulability)
+    )
+    status = np.where(gate == REACHED, kind, np.where(gate == 0, Status.IK_GRASP, Status.OK))
+    made = Candidates(
+        q=np.full((*q.shape[:2], waypoints, q.shape[2]), np.nan),
+        gate=gate,
+        status=status,
+        room=np.where(gate > 0, np.minimum(gap, config.clearance.enough), -np.inf),
+        cost=np.full(gate.shape, np.inf),
+        manipulability=ease,
+    )
+    made.q[:, :, way.grasp] = np.where((gate > 0)[:, :, None], q, np.nan)
+    _follow_all(made, arm, way, place, away, config, device)
+    return made
+
+
+def _stricter(config: ArmConfig) -> ArmConfig:
+    """Accept a little less than is allowed, because kernels count in float32."""
+    ik = config.ik
+    ik = replace(ik, accept_pos=0.98 * ik.accept_pos, accept_rot=0.98 * ik.accept_rot)
+    return replace(config, ik=ik)
+
+
+def _follow_all(
+    made: Candidates,
+    arm: Arm,
+    way: Ways,
+    place: Placed | None,
+    away: np.ndarray,
+    config: ArmConfig,
+    device: str,
+) -> None:
+    """Take candidates through their waypoints, some at a time, until every grasp has a free one.
+
+    Writes to `made`.
+    """
+    size = config.search.followed
+    for first in range(0, made.gate.shape[1], size):
+        some = slice(first, first + size)
+        rows = np.flatnonzero(
+            (made.gate[:, some] >= CLEAR).any(axis=1) & ~(made.gate == FREE).any(axis=1)
+        )
+        if not len(rows):
+            break
+        part = Candidates(*(x[rows, some] for x in made))
+        _follow(part, arm, Ways(Poses(way.poses.pos[rows], way.poses.quat_wxyz[rows]), way.grasp),
+                place if place is None else _of_grasps(place, rows, way.poses.pos.shape[1]),
+                away[rows, some], config, device)  # fmt: skip
+        for whole, piece in zip(made, part, strict=True):
+            whole[rows, some] = piece
+
+
+def _follow(
+    part: Candidates,
+    arm: Arm,
+    way: Ways,
+    place: Placed | None,
+    away: np.ndarray,
+    config: ArmConfig,
+    device: str,
+) -> None:
+    """Follow and check candidates that are clear at the grasp; writes to `part`."""
+    g, pos, rot = way.grasp, way.poses.pos, way.poses.rot
+    alive = part.gate == CLEAR
+    q = part.q[:, :, g]
+    start = np.where(alive[:, :, None], q, arm.chain.rest)
+    back = follow(arm.chain, start, pos[:, g - 1 :: -1] if g else pos[:, :0],
+                  rot[:, g - 1 :: -1], config.ik, device=device)  # fmt: skip
+    on = follow(arm.chain, start, pos[:, g + 1 :], rot[:, g + 1 :], config.ik, device=device)
+    whole = np.concatenate([back.q[:, :, ::-1], start[:, :, None], on.q], axis=2)
+    part.q[:] = np.where(alive[:, :, None, None], whole, part.q)
+    reached = (back.reached == g) & (on.reached == pos.shape[1] - g - 1)
+    steps = np.concatenate([back.step, on.step], axis=2)
+    smooth = reached & (np.nan_to_num(steps, nan=9.0).max(axis=2) <= config.path.largest_step)
+    stopped = alive & ~smooth
+    part.status[stopped] = Status.JUMP
+    missed = stopped & ~reached
+    if missed.any():
+        _name_misses(part, missed, back.reached, on.reached, arm, way, config, device)
+    alive = alive & smooth
+    part.gate[alive] = FOLLOWED
+    if not alive.any():
+        return
+    known = np.where(alive[:, :, None, None], whole, arm.chain.rest)
+    gap, kind = _least(arm, _by_waypoint(known), place, config, device)
+    count, waypoints = len(pos), pos.shape[1]
+    gap, kind = (x.reshape(count, waypoints, -1).swapaxes(1, 2) for x in (gap, kind))  # (N, C, T)
+    worst = gap.argmin(axis=2)[:, :, None]
+    least = np.take_along_axis(gap, worst, axis=2)[:, :, 0]
+    part.status[alive] = np.take_along_axis(kind, worst, axis=2)[:, :, 0][alive]
+    part.room[alive] = np.minimum(least, config.clearance.enough)[alive]
+    free = alive & (least >= config.clearance.margin)
+    part.gate[free], part.status[free] = FREE, Status.OK
+    cost = away - 100.0 * np.minimum(least, config.clearance.enough)
+    part.cost[free] = cost[free]
+
+
+def _name_misses(
+    part: Candidates,
+    missed: np.ndarray,
+    back: np.ndarray,
+    on: np.ndarray,
+    arm: Arm,
+    way: Ways,
+    config: ArmConfig,
+    device: str,
+) -> None:
+    """Say of waypoints that were missed whether another posture reaches them; writes to `part`."""
+    n, c = np.nonzero(missed)
+    waypoint = np.where(
+        back[n, c] < way.grasp, way.grasp - 1 - back[n, c], way.grasp + 1 + on[n, c]
+    )
+    # One solve per waypoint, however many candidates missed it.
+    keys, inverse = np.unique(n * way.poses.pos.shape[1] + waypoint, return_inverse=True)
+    rows, times = np.divmod(keys, way.poses.pos.shape[1])
+    cold = solve_first(
+        arm.chain, way.poses.pos[rows, times], way.poses.rot[rows, times], config.ik, device=device
+    )
+    _approach, reach, close, squeeze, _lift = config.path.knots
+    ends = np.array([reach + close, reach + close + squeeze])
+    names = np.array([Status.IK_PREGRASP, Status.IK_GRASP, Status.IK_LIFT])
+    name = names[np.searchsorted(ends, times, side="left")]
+    part.status[n, c] = np.where(cold.ok, Status.JUMP, name)[inverse]
+
+
+def _least(
+    arm: Arm, q: np.ndarray, place: Placed | None, config: ArmConfig, device: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Least clearance of each configuration, and the status of what is nearest."""
+    found = np.stack(clearances(arm, q, place, device=device))
+    nearest = found.argmin(axis=0)
+    return found.min(axis=0), np.array(_KINDS)[nearest]
+
+
+def _best_first(
+    new: np.ndarray, clear: np.ndarray, gap: np.ndarray, away: np.ndarray, config: ArmConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """Order of the candidates and the gate that each has passed, in that order."""
+    room = np.minimum(gap, config.clearance.enough)
+    gate = np.where(clear, CLEAR, np.where(new, REACHED, 0))
+    order = np.lexsort((away - 100.0 * room, -gate), axis=1)
+    return order, np.take_along_axis(gate, order, axis=1)
+
+
+def _distinct(q: np.ndarray, ok: np.ndarray) -> np.ndarray:
+    """Which postures are unlike all good ones before them, (N, S)."""
+    near = np.abs(q[:, :, None] - q[:, None]).max(axis=-1) < _ALIKE
+    before = np.tril(np.ones(near.shape[1:], bool), k=-1)
+    return ~(near & before & ok[:, None, :]).any(axis=2)
+
+
+def _by_waypoint(q: np.ndarray) -> np.ndarray:
+    """(N, C, T, A) as rows (N T) of C configurations."""
+    turned = q.swapaxes(1, 2)
+    return turned.reshape(-1, *turned.shape[2:])
+
+
+def _rows(place: Placed, rows: np.ndarray) -> Placed:
+    return Placed(place.field, place.size[rows], place.pos[rows], place.rot[rows])
+
+
+def _of_grasps(place: Placed, grasps: np.ndarray, waypoints: int) -> Placed:
+    return _rows(place, (grasps[:, None] * waypoints + np.arange(waypoints)).ravel())

@@ -1,0 +1,143 @@
+"""A small planner in joint space: the shortest way over some postures that a checker accepts.
+
+Postures are spread round the straight line from start to goal without a random generator. Ways are
+checked only when they are the shortest that is left, all of their steps in one call.
+
+Source: lazy probabilistic road maps (Bohlin and Kavraki, "Path planning using lazy PRM", 2000).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from bidexdata.arms.config import SearchConfig
+
+Checker = Callable[[np.ndarray], np.ndarray]
+"""Tells of postures (M, A) [rad] which are free, (M,) bool."""
+
+
+def plan_way(
+    start: Float[np.ndarray, " A"],
+    goal: Float[np.ndarray, " A"],
+    lower: Float[np.ndarray, " A"],
+    upper: Float[np.ndarray, " A"],
+    free: Checker,
+    config: SearchConfig,
+) -> Float[np.ndarray, "P A"] | None:
+    """Find a way of straight lines in joint space.
+
+    Args:
+        start: Where it begins [rad].
+        goal: Where it ends [rad].
+        lower: Joint limits [rad].
+        upper: [rad].
+        free: Says which postures may be passed.
+        config: How many postures, how far beside the line, how many ways.
+
+    Returns:
+        The corners, ends included; None where no way was found.
+    """
+    nodes = _nodes(start, goal, lower, upper, config)
+    kept = free(nodes)
+    if not kept[:2].all():
+        return None
+    nodes = nodes[kept]
+    length = np.abs(nodes[:, None] - nodes[None]).max(axis=-1)
+    open_ = _neighbours(length, config.neighbours)
+    known = np.eye(len(nodes), dtype=bool)
+    for _ in range(config.replans):
+        way = _shortest(np.where(open_, length, np.inf))
+        if way is None:
+            return None
+        asked = [(a, b) for a, b in pairwise(way) if not known[a, b]]
+        for (a, b), good in zip(asked, _edges_free(nodes, asked, free, config), strict=True):
+            known[a, b] = known[b, a] = good
+            open_[a, b] = open_[b, a] = good
+        if all(known[a, b] for a, b in pairwise(way)):
+            return nodes[way]
+    return None
+
+
+def resampled(corners: Float[np.ndarray, "P A"], count: int) -> Float[np.ndarray, "W A"]:
+    """Postures along a way, `count` equal steps of the joint that turns most, both ends included."""
+    step = np.abs(np.diff(corners, axis=0)).max(axis=1)
+    at = np.concatenate([[0.0], np.cumsum(step)])
+    wanted = np.linspace(0.0, at[-1], count + 1)
+    made = np.stack([np.interp(wanted, at, column) for column in corners.T], axis=1)
+    made[0], made[-1] = corners[0], corners[-1]
+    return made
+
+
+def way_length(corners: Float[np.ndarray, "P A"]) -> float:
+    """Sum over the steps of the largest turn of a joint [rad]."""
+    return float(np.abs(np.diff(corners, axis=0)).max(axis=1, initial=0.0).sum())
+
+
+def _nodes(
+    start: np.ndarray,
+    goal: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    config: SearchConfig,
+) -> np.ndarray:
+    """Start, goal, and postures round the line between them, (2 + nodes, A)."""
+    count, joints = config.nodes, len(start)
+    ratio = 1.5
+    for _ in range(40):
+        ratio = (1.0 + ratio) ** (1.0 / (joints + 2))
+    share = np.mod(0.5 + np.arange(1, count + 1)[:, None] * ratio ** -np.arange(1.0, joints + 2), 1)
+    along = start + share[:, :1] * (goal - start)
+    beside = config.spread * (2.0 * share[:, 1:] - 1.0)
+    return np.concatenate([[start, goal], np.clip(along + beside, lower, upper)])
+
+
+def _neighbours(length: np.ndarray, count: int) -> Bool[np.ndarray, "P P"]:
+    near = np.zeros(length.shape, bool)
+    order = np.argsort(length, axis=1, kind="stable")[:, 1 : count + 1]
+    np.put_along_axis(near, order, True, axis=1)
+    return near | near.T
+
+
+def _edges_free(
+    nodes: np.ndarray, edges: list[tuple[int, int]], free: Checker, config: SearchConfig
+) -> list[bool]:
+    """Check edges at all of their steps, in one call."""
+    if not edges:
+        return []
+    points, owner = [], []
+    for number, (a, b) in enumerate(edges):
+        steps = int(np.ceil(np.abs(nodes[b] - nodes[a]).max() / config.step))
+        share = np.arange(1, max(steps, 1))[:, None] / max(steps, 1)
+        points.append(nodes[a] + share * (nodes[b] - nodes[a]))
+        owner += [number] * len(share)
+    good = np.ones(len(edges), bool)
+    if owner:
+        np.logical_and.at(good, owner, free(np.concatenate(points)))
+    return good.tolist()
+
+
+def _shortest(length: np.ndarray) -> list[int] | None:
+    """Dijkstra's way from node 0 to node 1; ties go to the lower number."""
+    total = np.full(len(length), np.inf)
+    before = np.full(len(length), -1)
+    done = np.zeros(len(length), bool)
+    total[0] = 0.0
+    while True:
+        left = np.where(done, np.inf, total)
+        node = int(left.argmin())
+        if not np.isfinite(left[node]):
+            return None
+        if node == 1:
+            break
+        done[node] = True
+        through = total[node] + length[node]
+        shorter = ~done & (through < total)
+        total[shorter], before[shorter] = through[shorter], node
+    way = [1]
+    while way[-1] != 0:
+        way.append(int(before[way[-1]]))
+    return way[::-1]
