@@ -15,10 +15,17 @@ from jaxtyping import Bool, Float, Int
 
 from bidexdata.arms.clearance import Placed, clearances
 from bidexdata.arms.config import ArmConfig
-from bidexdata.arms.inverse_kinematics import follow, solve_first, solve_ik
+from bidexdata.arms.inverse_kinematics import (
+    IkSolutions,
+    even_spread,
+    follow,
+    solve_first,
+    solve_ik,
+)
 from bidexdata.arms.robot import Arm, Robot
 from bidexdata.arms.solutions import Targets
-from bidexdata.arms.waypoints import Poses, lifted, line, stand_off
+from bidexdata.arms.stand_offs import stand_offs
+from bidexdata.arms.waypoints import Poses, lifted, line
 from bidexdata.frames import matrix_from_quat
 from bidexdata.objects.prepared import SignedDistanceGrid
 from bidexdata.record.status import Status
@@ -26,6 +33,8 @@ from bidexdata.record.status import Status
 REACHED, CLEAR, FOLLOWED, FREE = 1, 2, 3, 4
 """Gates that a candidate passes one after the other: a posture, clear at the grasp, all waypoints,
 clear at all of them."""
+_ROOM_COUNTS = 30.0
+"""What a metre of clearance is worth in turns away from rest [rad/m]."""
 _ALIKE = 0.05
 """Postures that differ by less in every joint are one [rad]."""
 _KINDS = (Status.COLLISION_TABLE, Status.COLLISION_OBJECT, Status.COLLISION_SELF)
@@ -69,7 +78,13 @@ class Candidates(NamedTuple):
         return best, self.gate[rows, best], self.status[rows, best]
 
 
-def ways(robot: Robot, side: int, targets: Targets, config: ArmConfig) -> Ways:
+def ways(
+    robot: Robot,
+    side: int,
+    field: SignedDistanceGrid | None,
+    targets: Targets,
+    config: ArmConfig,
+) -> Ways:
     """Give the hand's waypoints of each grasp: stand-off, pre-grasp, grasp, squeeze, lift."""
     path = config.path
     pregrasp, grasp, squeeze = (
@@ -77,7 +92,7 @@ def ways(robot: Robot, side: int, targets: Targets, config: ArmConfig) -> Ways:
     )
     if path.squeeze_palm == "fixed":
         squeeze = grasp
-    back = stand_off(pregrasp, robot.hands[side].T_hand_palm, path.standoff, path.lowest)
+    back = stand_offs(robot.hands[side], side, pregrasp, field, targets, config)
     frames = [back, pregrasp, grasp, squeeze, lifted(squeeze, path.lift)]
     _approach, *counts = path.knots
     parts = [Poses(back.pos[:, None], back.quat_wxyz[:, None])]
@@ -124,14 +139,14 @@ def find_candidates(
     """
     config = _stricter(config)
     at, rot = way.poses.pos[:, way.grasp], way.poses.rot[:, way.grasp]
-    found = solve_ik(arm.chain, at, rot, config.ik, device=device)
+    found = _postures(arm, at, rot, config, device)
     place = object_along(field, targets, config, len(at))
     waypoints = way.poses.pos.shape[1]
     here = None if place is None else _rows(place, np.arange(len(at)) * waypoints)
     gap, kind = _least(arm, found.q, here, config, device)
     new = found.ok & _distinct(found.q, found.ok)
     clear = new & (gap >= config.clearance.margin)
-    away = np.linalg.norm(found.q - arm.chain.rest, axis=-1)
+    away = np.abs(found.q - arm.chain.rest).max(axis=-1)
     order, gate = _best_first(new, clear, gap, away, config)
     q, gap, kind, away, ease = (
         np.take_along_axis(x, order.reshape(*order.shape, *[1] * (x.ndim - 2)), axis=1)
@@ -149,6 +164,27 @@ def find_candidates(
     made.q[:, :, way.grasp] = np.where((gate > 0)[:, :, None], q, np.nan)
     _follow_all(made, arm, way, place, away, config, device)
     return made
+
+
+def _postures(
+    arm: Arm, pos: np.ndarray, rot: np.ndarray, config: ArmConfig, device: str
+) -> IkSolutions:
+    """Solve every target from starts whose hands are near it, and from starts near the rest.
+
+    The first find postures of every kind, the second those to which the way from home is short.
+    """
+    near = solve_ik(arm.chain, pos, rot, config.ik, device=device)
+    starts = postures_near_rest(arm, config.search.near_rest, config.search.rest_spread)
+    short = solve_ik(arm.chain, pos, rot, config.ik, starts=starts, device=device)
+    return IkSolutions(*(np.concatenate(x, axis=1) for x in zip(short, near, strict=True)))
+
+
+def postures_near_rest(arm: Arm, count: int, spread: float) -> Float[np.ndarray, "S A"]:
+    """The rest posture, and others spread evenly round it within the limits [rad]."""
+    chain = arm.chain
+    share = even_spread(count, chain.joints)
+    beside = np.concatenate([np.zeros((1, chain.joints)), spread * (2.0 * share - 1.0)])[:count]
+    return np.clip(chain.rest + beside, chain.lower, chain.upper)
 
 
 def _stricter(config: ArmConfig) -> ArmConfig:
@@ -228,7 +264,7 @@ def _follow(
     part.room[alive] = np.minimum(least, config.clearance.enough)[alive]
     free = alive & (least >= config.clearance.margin)
     part.gate[free], part.status[free] = FREE, Status.OK
-    cost = away - 100.0 * np.minimum(least, config.clearance.enough)
+    cost = away - _ROOM_COUNTS * np.minimum(least, config.clearance.enough)
     part.cost[free] = cost[free]
 
 
@@ -275,7 +311,7 @@ def _best_first(
     """Order of the candidates and the gate that each has passed, in that order."""
     room = np.minimum(gap, config.clearance.enough)
     gate = np.where(clear, CLEAR, np.where(new, REACHED, 0))
-    order = np.lexsort((away - 100.0 * room, -gate), axis=1)
+    order = np.lexsort((away - _ROOM_COUNTS * room, -gate), axis=1)
     return order, np.take_along_axis(gate, order, axis=1)
 
 

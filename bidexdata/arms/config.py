@@ -36,10 +36,10 @@ class PathConfig:
     """Where the hands go, and at how many knots."""
 
     standoff: float = 0.12
-    """From the pre-grasp back along the palm's normal [m]."""
-    lowest: float = 0.08
-    """Least height of a palm's middle over the table at the stand-off, unless it is lower before
-    [m]."""
+    """From the pre-grasp back: along the palm's normal, or where the open hand would come through the
+    object that way, in the direction of those tried that leaves most room [m]."""
+    lowest: float = 0.02
+    """Least height of a hand's lowest point over the table at the stand-off [m]."""
     lift: float = 0.10
     """Way up after the squeeze [m] (BODex, and the paper's test l)."""
     squeeze_palm: Literal["moves", "fixed"] = "moves"
@@ -77,6 +77,10 @@ class PathConfig:
 class SearchConfig:
     """How much is tried before a grasp is given up."""
 
+    near_rest: int = 16
+    """Starts of the inverse kinematics near the rest posture, besides `ik.starts` [-]."""
+    rest_spread: float = 1.0
+    """How far they lie beside it [rad]."""
     followed: int = 8
     """Postures of an arm that are taken through their waypoints at a time, best first [-]."""
     pairs: int = 12
@@ -96,11 +100,12 @@ class SearchConfig:
     """Largest turn of a joint between checks of a way [rad]."""
 
     def __post_init__(self) -> None:
-        for name in ("followed", "pairs", "neighbours", "replans"):
+        for name in ("near_rest", "followed", "pairs", "neighbours", "replans"):
             refuse_outside(self, name, 1, 1024)
         refuse_outside(self, "nodes", 0, 4096)
         refuse_outside(self, "back_off", 0.01, 1)
         refuse_outside(self, "spread", 0, 10)
+        refuse_outside(self, "rest_spread", 0, 10)
         refuse_outside(self, "step", 0.01, 1)
 
 
@@ -108,7 +113,7 @@ class SearchConfig:
 class ArmConfig:
     """Everything that decides which motion a grasp gets, besides the robot."""
 
-    ik: IkConfig = field(default_factory=lambda: IkConfig(starts=32))
+    ik: IkConfig = field(default_factory=lambda: IkConfig(starts=16))
     """Both arms must find a posture that is free, so there are more starts than for one target."""
     clearance: ClearanceConfig = field(default_factory=ClearanceConfig)
     path: PathConfig = field(default_factory=PathConfig)

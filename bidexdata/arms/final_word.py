@@ -42,8 +42,8 @@ def final_word(
     """Ask MuJoCo about one motion.
 
     Fingers are those of the pre-grasp up to its knot, then on the way to the grasp, and stay there:
-    in the squeeze they press on, and are stopped. Up to the knot before the pre-grasp hands may not
-    touch the object; it rises with them in the lift.
+    in the squeeze they press on, and are stopped. Until the last knot before the pre-grasp, which may
+    overlap the object a little, hands may not touch it; it rises with them in the lift.
 
     Args:
         scene: The object at its size; its state is overwritten.
@@ -63,7 +63,7 @@ def final_word(
     pos, quat = targets.object_pos, targets.object_quat_wxyz
     knots = np.flatnonzero(asked)
     least = np.full(4, config.clearance.reach)
-    for some, hands_touch in ((knots[knots < touch], False), (knots[knots >= touch], True)):
+    for some, hands_touch in ((knots[knots < touch - 1], False), (knots[knots >= touch - 1], True)):
         low = some[some <= risen]
         groups = [low] if len(low) else []
         groups += [np.array([k]) for k in some[some > risen]]

@@ -115,21 +115,26 @@ class Followed(NamedTuple):
 
 
 def start_postures(chain: Chain, count: int) -> Float[np.ndarray, "S A"]:
-    """Postures to start from: rest, the middle of the ranges, then evenly spread ones [rad].
-
-    The spread ones are an additive recurrence with the powers of the generalised golden ratio (M.
-    Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018), so the first of many
-    are the same as of few.
-    """
-    ratio = 1.5
-    for _ in range(40):
-        ratio = (1.0 + ratio) ** (1.0 / (chain.joints + 1))
-    stride = ratio ** -np.arange(1.0, chain.joints + 1)
+    """Postures to start from: rest, the middle of the ranges, then evenly spread ones [rad]."""
     share = np.concatenate(
-        [np.full((1, chain.joints), 0.5), np.mod(0.5 + np.arange(1, count)[:, None] * stride, 1.0)]
+        [np.full((1, chain.joints), 0.5), even_spread(max(count - 1, 0), chain.joints)]
     )
     spread = chain.lower + share * (chain.upper - chain.lower)
     return np.concatenate([chain.rest[None], spread])[:count]
+
+
+def even_spread(count: int, dims: int) -> Float[np.ndarray, "N D"]:
+    """Points spread evenly over the unit cube, without a random generator.
+
+    An additive recurrence with the powers of the generalised golden ratio (M. Roberts, "The
+    unreasonable effectiveness of quasirandom sequences", 2018), so the first of many are the same as
+    of few.
+    """
+    ratio = 1.5
+    for _ in range(40):
+        ratio = (1.0 + ratio) ** (1.0 / (dims + 1))
+    stride = ratio ** -np.arange(1.0, dims + 1)
+    return np.mod(0.5 + np.arange(1, count + 1)[:, None] * stride, 1.0)
 
 
 def solve_ik(

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bidexdata.arms.config import SearchConfig
+from bidexdata.arms.inverse_kinematics import even_spread
 
 Checker = Callable[[np.ndarray], np.ndarray]
 """Tells of postures (M, A) [rad] which are free, (M,) bool."""
@@ -86,10 +87,7 @@ def _nodes(
 ) -> np.ndarray:
     """Start, goal, and postures round the line between them, (2 + nodes, A)."""
     count, joints = config.nodes, len(start)
-    ratio = 1.5
-    for _ in range(40):
-        ratio = (1.0 + ratio) ** (1.0 / (joints + 2))
-    share = np.mod(0.5 + np.arange(1, count + 1)[:, None] * ratio ** -np.arange(1.0, joints + 2), 1)
+    share = even_spread(count, joints + 1)
     along = start + share[:, :1] * (goal - start)
     beside = config.spread * (2.0 * share[:, 1:] - 1.0)
     return np.concatenate([[start, goal], np.clip(along + beside, lower, upper)])

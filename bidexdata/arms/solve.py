@@ -60,13 +60,13 @@ def solve_arms(
     if not len(rows):
         return every
     targets = targets.select(rows)
-    way = (ways(robot, 0, targets, config), ways(robot, 1, targets, config))
+    way = (ways(robot, 0, field, targets, config), ways(robot, 1, field, targets, config))
     left, right = (
         find_candidates(arm, way[h], field, targets, config, device=device)
         for h, arm in enumerate(robot.arms)
     )
     made = no_solutions(robot, config, len(rows), Status.OK)
-    made.arm_starts[:] = config.ik.starts
+    made.arm_starts[:] = config.ik.starts + config.search.near_rest
     _refuse(made, (left, right), config)
     _try_pairs(made, robot, field, scene, targets, (left, right), config, device)
     _measure(made, robot, way, config)

@@ -29,26 +29,20 @@ class Poses(NamedTuple):
 
 def stand_off(
     pregrasp: Poses,
-    T_hand_palm: Float[np.ndarray, "4 4"],
-    distance: float,
+    away: Float[np.ndarray, "*b 3"],
+    below: Float[np.ndarray, "*b"],
     lowest: float,
 ) -> Poses:
-    """Move hands back along their palms' normals, and up where the palm would come too low.
+    """Move hands back, and up where they would come too low.
 
     Args:
         pregrasp: Where the hands are before they close.
-        T_hand_palm: The palm frame; its z points to the object.
-        distance: How far back [m].
-        lowest: Least height of the palm's middle over the table [m]; a palm that is lower before
-            stays at its height.
+        away: The way back, world frame [m].
+        below: How far each hand, as it is turned, reaches down below the hand frame's origin [m].
+        lowest: Least height of a hand's lowest point over the table [m].
     """
-    normal = pregrasp.rot @ T_hand_palm[:3, 2]
-    pos = pregrasp.pos - distance * normal
-    offset = pregrasp.rot @ T_hand_palm[:3, 3]
-    before = (pregrasp.pos + offset)[..., 2]
-    wanted = np.maximum((pos + offset)[..., 2], np.minimum(before, lowest))
-    pos = pos.copy()
-    pos[..., 2] = wanted - offset[..., 2]
+    pos = pregrasp.pos + away
+    pos[..., 2] = np.maximum(pos[..., 2], lowest + below)
     return Poses(pos, pregrasp.quat_wxyz)
 
 

@@ -41,17 +41,17 @@ def test_a_line_to_where_it_begins_stands_still(rng):
     np.testing.assert_allclose(way.pos, np.repeat(start.pos[:, None], 4, axis=1), atol=1e-12)
 
 
-def test_the_stand_off_lies_behind_the_palm_and_not_in_the_table(rng):
-    T = transform([0.0, -0.012, 0.055], random_quat(rng))
-    before = poses(rng, 200)
-    back = stand_off(before, T, 0.12, 0.08)
+def test_the_stand_off_lies_as_far_away_as_it_should_and_not_in_the_table(rng):
+    before, below = poses(rng, 200), rng.uniform(0.0, 0.3, 200)
+    away = rng.normal(size=(200, 3))
+    back = stand_off(before, away, below, 0.02)
     np.testing.assert_array_equal(back.quat_wxyz, before.quat_wxyz)
-    palms = [p.pos + p.rot @ T[:3, 3] for p in (before, back)]
-    normal = before.rot @ T[:3, 2]
-    plain = palms[0] - 0.12 * normal
-    np.testing.assert_allclose(palms[1][:, :2], plain[:, :2], atol=1e-12)
-    least = np.minimum(palms[0][:, 2], 0.08)
-    np.testing.assert_allclose(palms[1][:, 2], np.maximum(plain[:, 2], least), atol=1e-12)
+    plain = before.pos + away
+    low = plain[:, 2] - below < 0.02
+    assert low.any()
+    np.testing.assert_allclose(back.pos[~low], plain[~low], atol=1e-12)
+    np.testing.assert_allclose(back.pos[low, :2], plain[low, :2], atol=1e-12)
+    np.testing.assert_allclose((back.pos[:, 2] - below)[low], 0.02, atol=1e-12)
 
 
 def test_lifting_moves_along_z_alone(rng):
