@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from bidexdata.arms.clearance import Placed, clearances
+from bidexdata.arms.clearance import FAR, Placed, Surroundings, clear_at
 from bidexdata.arms.config import ArmConfig
 from bidexdata.arms.inverse_kinematics import (
     IkSolutions,
@@ -81,18 +81,18 @@ class Candidates(NamedTuple):
 def ways(
     robot: Robot,
     side: int,
-    field: SignedDistanceGrid | None,
+    around: Surroundings,
     targets: Targets,
     config: ArmConfig,
 ) -> Ways:
-    """Give the hand's waypoints of each grasp: stand-off, pre-grasp, grasp, squeeze, lift."""
+    """Give one hand's waypoints of each grasp: stand-off, pre-grasp, grasp, squeeze, lift."""
     path = config.path
     pregrasp, grasp, squeeze = (
         Poses(targets.hand_pos[:, side, s], targets.hand_quat_wxyz[:, side, s]) for s in range(3)
     )
     if path.squeeze_palm == "fixed":
         squeeze = grasp
-    back = stand_offs(robot.hands[side], side, pregrasp, field, targets, config)
+    back = stand_offs(robot.hands[side], side, pregrasp, around, targets, config)
     frames = [back, pregrasp, grasp, squeeze, lifted(squeeze, path.lift)]
     _approach, *counts = path.knots
     parts = [Poses(back.pos[:, None], back.quat_wxyz[:, None])]
@@ -102,49 +102,47 @@ def ways(
 
 
 def object_along(
-    field: SignedDistanceGrid | None, targets: Targets, config: ArmConfig, count: int
-) -> Placed | None:
-    """The object of `count` grasps at every waypoint, rows (N T): it rises with the hands."""
+    field: SignedDistanceGrid | None,
+    targets: Targets,
+    config: ArmConfig,
+    *,
+    device: str = "cpu",
+) -> Surroundings:
+    """The object of the grasps at every waypoint, rows (N T): it rises with the hands."""
+    count = len(targets.hand_pos)
+    waypoints = 1 + sum(config.path.knots[1:])
     if field is None:
-        return None
+        return Surroundings(None, rows=count * waypoints, device=device)
     _approach, reach, close, squeeze, lift = config.path.knots
     rise = np.concatenate(
         [np.zeros(1 + reach + close + squeeze), np.arange(1, lift + 1) / lift * config.path.lift]
     )
     pos = targets.object_pos + rise[:, None] * np.array([0.0, 0.0, 1.0])
     rot = np.broadcast_to(matrix_from_quat(targets.object_quat_wxyz), (count * len(rise), 3, 3))
-    return Placed(
+    placed = Placed(
         field, np.full(count * len(rise), targets.size), np.tile(pos, (count, 1)), np.array(rot)
     )
+    return Surroundings(placed, rows=count * waypoints, device=device)
 
 
 def find_candidates(
-    arm: Arm,
-    way: Ways,
-    field: SignedDistanceGrid | None,
-    targets: Targets,
-    config: ArmConfig,
-    *,
-    device: str = "cpu",
+    arm: Arm, way: Ways, around: Surroundings, config: ArmConfig, *, device: str = "cpu"
 ) -> Candidates:
-    """Find the postures of one arm for N grasps of one scene.
+    """Find the postures of one arm for N grasps of one scene, the best `search.kept` of each.
 
     Args:
         arm: The arm.
         way: Of its hand.
-        field: The object; none where it does not count.
-        targets: The grasps.
+        around: The object at the waypoints, as `object_along` gives it.
         config: How.
         device: A Warp device.
     """
     config = _stricter(config)
-    at, rot = way.poses.pos[:, way.grasp], way.poses.rot[:, way.grasp]
-    found = _postures(arm, at, rot, config, device)
-    place = object_along(field, targets, config, len(at))
-    waypoints = way.poses.pos.shape[1]
-    here = None if place is None else _rows(place, np.arange(len(at)) * waypoints)
-    gap, kind = _least(arm, found.q, here, config, device)
+    g, waypoints = way.grasp, way.poses.pos.shape[1]
+    found = _postures(arm, way.poses.pos[:, g], way.poses.rot[:, g], config, device)
     new = found.ok & _distinct(found.q, found.ok)
+    at_grasp = np.broadcast_to(np.arange(len(new))[:, None] * waypoints + g, new.shape)
+    gap, kind = _least(arm, found.q, at_grasp, new, around)
     clear = new & (gap >= config.clearance.margin)
     away = np.abs(found.q - arm.chain.rest).max(axis=-1)
     order, gate = _best_first(new, clear, gap, away, config)
@@ -152,18 +150,23 @@ def find_candidates(
         np.take_along_axis(x, order.reshape(*order.shape, *[1] * (x.ndim - 2)), axis=1)
         for x in (found.q, gap, kind, away, found.manipulability)
     )
-    status = np.where(gate == REACHED, kind, np.where(gate == 0, Status.IK_GRASP, Status.OK))
     made = Candidates(
         q=np.full((*q.shape[:2], waypoints, q.shape[2]), np.nan),
         gate=gate,
-        status=status,
+        status=np.where(gate == REACHED, kind, np.where(gate == 0, Status.IK_GRASP, Status.OK)),
         room=np.where(gate > 0, np.minimum(gap, config.clearance.enough), -np.inf),
         cost=np.full(gate.shape, np.inf),
         manipulability=ease,
     )
-    made.q[:, :, way.grasp] = np.where((gate > 0)[:, :, None], q, np.nan)
-    _follow_all(made, arm, way, place, away, config, device)
-    return made
+    made.q[:, :, g] = np.where((gate > 0)[:, :, None], q, np.nan)
+    _follow_all(made, arm, way, around, away, config, device)
+    best = np.lexsort((made.cost, -made.room, -made.gate), axis=1)
+    best = np.where(made.free.any(axis=1)[:, None], np.argsort(made.cost, 1, kind="stable"), best)
+    best = best[:, : config.search.kept]
+    return Candidates(
+        *(np.take_along_axis(x, best.reshape(*best.shape, *[1] * (x.ndim - 2)), axis=1)
+          for x in made)
+    )  # fmt: skip
 
 
 def _postures(
@@ -198,7 +201,7 @@ def _follow_all(
     made: Candidates,
     arm: Arm,
     way: Ways,
-    place: Placed | None,
+    around: Surroundings,
     away: np.ndarray,
     config: ArmConfig,
     device: str,
@@ -207,27 +210,25 @@ def _follow_all(
 
     Writes to `made`.
     """
-    size = config.search.followed
+    size = config.search.kept
     for first in range(0, made.gate.shape[1], size):
         some = slice(first, first + size)
-        rows = np.flatnonzero(
-            (made.gate[:, some] >= CLEAR).any(axis=1) & ~(made.gate == FREE).any(axis=1)
-        )
+        rows = np.flatnonzero((made.gate[:, some] == CLEAR).any(axis=1) & ~made.free.any(axis=1))
         if not len(rows):
             break
         part = Candidates(*(x[rows, some] for x in made))
-        _follow(part, arm, Ways(Poses(way.poses.pos[rows], way.poses.quat_wxyz[rows]), way.grasp),
-                place if place is None else _of_grasps(place, rows, way.poses.pos.shape[1]),
-                away[rows, some], config, device)  # fmt: skip
+        poses = Poses(way.poses.pos[rows], way.poses.quat_wxyz[rows])
+        _follow(part, rows, arm, Ways(poses, way.grasp), around, away[rows, some], config, device)
         for whole, piece in zip(made, part, strict=True):
             whole[rows, some] = piece
 
 
 def _follow(
     part: Candidates,
+    rows: np.ndarray,
     arm: Arm,
     way: Ways,
-    place: Placed | None,
+    around: Surroundings,
     away: np.ndarray,
     config: ArmConfig,
     device: str,
@@ -235,10 +236,10 @@ def _follow(
     """Follow and check candidates that are clear at the grasp; writes to `part`."""
     g, pos, rot = way.grasp, way.poses.pos, way.poses.rot
     alive = part.gate == CLEAR
-    q = part.q[:, :, g]
-    start = np.where(alive[:, :, None], q, arm.chain.rest)
-    back = follow(arm.chain, start, pos[:, g - 1 :: -1] if g else pos[:, :0],
-                  rot[:, g - 1 :: -1], config.ik, device=device)  # fmt: skip
+    start = np.where(alive[:, :, None], part.q[:, :, g], arm.chain.rest)
+    back = follow(
+        arm.chain, start, pos[:, g - 1 :: -1], rot[:, g - 1 :: -1], config.ik, device=device
+    )
     on = follow(arm.chain, start, pos[:, g + 1 :], rot[:, g + 1 :], config.ik, device=device)
     whole = np.concatenate([back.q[:, :, ::-1], start[:, :, None], on.q], axis=2)
     part.q[:] = np.where(alive[:, :, None, None], whole, part.q)
@@ -252,20 +253,16 @@ def _follow(
         _name_misses(part, missed, back.reached, on.reached, arm, way, config, device)
     alive = alive & smooth
     part.gate[alive] = FOLLOWED
-    if not alive.any():
-        return
-    known = np.where(alive[:, :, None, None], whole, arm.chain.rest)
-    gap, kind = _least(arm, _by_waypoint(known), place, config, device)
-    count, waypoints = len(pos), pos.shape[1]
-    gap, kind = (x.reshape(count, waypoints, -1).swapaxes(1, 2) for x in (gap, kind))  # (N, C, T)
+    at = rows[:, None, None] * pos.shape[1] + np.arange(pos.shape[1])
+    mask = np.broadcast_to(alive[:, :, None], whole.shape[:3])
+    gap, kind = _least(arm, whole, np.broadcast_to(at, mask.shape), mask, around)
     worst = gap.argmin(axis=2)[:, :, None]
     least = np.take_along_axis(gap, worst, axis=2)[:, :, 0]
     part.status[alive] = np.take_along_axis(kind, worst, axis=2)[:, :, 0][alive]
     part.room[alive] = np.minimum(least, config.clearance.enough)[alive]
     free = alive & (least >= config.clearance.margin)
     part.gate[free], part.status[free] = FREE, Status.OK
-    cost = away - _ROOM_COUNTS * np.minimum(least, config.clearance.enough)
-    part.cost[free] = cost[free]
+    part.cost[free] = (away - _ROOM_COUNTS * part.room)[free]
 
 
 def _name_misses(
@@ -297,12 +294,13 @@ def _name_misses(
 
 
 def _least(
-    arm: Arm, q: np.ndarray, place: Placed | None, config: ArmConfig, device: str
+    arm: Arm, q: np.ndarray, rows: np.ndarray, asked: np.ndarray, around: Surroundings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Least clearance of each configuration, and the status of what is nearest."""
-    found = np.stack(clearances(arm, q, place, device=device))
-    nearest = found.argmin(axis=0)
-    return found.min(axis=0), np.array(_KINDS)[nearest]
+    """Least clearance of the configurations that are asked about, and the status of what is nearest."""
+    gap, kind = np.full(asked.shape, FAR), np.full(asked.shape, int(Status.OK))
+    found = clear_at(arm, q[asked], rows[asked], around, with_hand=False)
+    gap[asked], kind[asked] = found.min(axis=0), np.array(_KINDS)[found.argmin(axis=0)]
+    return gap, kind
 
 
 def _best_first(
@@ -320,17 +318,3 @@ def _distinct(q: np.ndarray, ok: np.ndarray) -> np.ndarray:
     near = np.abs(q[:, :, None] - q[:, None]).max(axis=-1) < _ALIKE
     before = np.tril(np.ones(near.shape[1:], bool), k=-1)
     return ~(near & before & ok[:, None, :]).any(axis=2)
-
-
-def _by_waypoint(q: np.ndarray) -> np.ndarray:
-    """(N, C, T, A) as rows (N T) of C configurations."""
-    turned = q.swapaxes(1, 2)
-    return turned.reshape(-1, *turned.shape[2:])
-
-
-def _rows(place: Placed, rows: np.ndarray) -> Placed:
-    return Placed(place.field, place.size[rows], place.pos[rows], place.rot[rows])
-
-
-def _of_grasps(place: Placed, grasps: np.ndarray, waypoints: int) -> Placed:
-    return _rows(place, (grasps[:, None] * waypoints + np.arange(waypoints)).ravel())

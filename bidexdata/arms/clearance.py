@@ -60,6 +60,159 @@ class Clearances(NamedTuple):
     """Links against each other and against the rig's fixtures."""
 
 
+class Surroundings:
+    """What the arms of N grasps have to mind, on a device: put there once, asked about often."""
+
+    def __init__(
+        self,
+        placed: Placed | None,
+        hands: tuple[HeldHands | None, HeldHands | None] = (None, None),
+        *,
+        rows: int,
+        device: str = "cpu",
+    ) -> None:
+        """Copy them to the device.
+
+        Args:
+            placed: The object of each row; none for arms, table and fixtures alone.
+            hands: The open hands of each row, left and right, where they count.
+            rows: N.
+            device: A Warp device.
+        """
+        start_warp()
+        self.device = device
+        self.field, self.object = _object_on_device(placed, rows, device)
+        self.hands = tuple(
+            _nothing_held(device) if hand is None else _hands_on_device(hand, device)
+            for hand in hands
+        )
+
+
+def clear_at(
+    arm: Arm,
+    q: Float[np.ndarray, "M A"],
+    rows: Int[np.ndarray, " M"],
+    around: Surroundings,
+    side: int = 0,
+    *,
+    with_hand: bool = True,
+) -> Float[np.ndarray, "3 M"]:
+    """Clearance of one arm from table, object and itself with the fixtures [m].
+
+    Args:
+        arm: The arm.
+        q: Configurations [rad].
+        rows: The grasp that each is of.
+        around: What is there.
+        side: Whose hand the arm carries.
+        with_hand: The hand counts.
+    """
+    import warp as wp
+
+    from bidexdata.arms.clearance_kernels import clear_alone
+
+    if not len(q):
+        return np.zeros((3, 0))
+    device = around.device
+    hand = around.hands[side] if with_hand else _nothing_held(device)
+    placed = _place(arm, q, rows, hand, device)
+    out = wp.empty((3, len(q)), dtype=float, device=device)
+    wp.launch(
+        clear_alone,
+        dim=len(q),
+        inputs=[placed.spheres, hand, around.field, around.object, placed.centre, placed.rows, out],
+        device=device,
+    )
+    return out.numpy().astype(np.float64)
+
+
+def apart_at(
+    arms: tuple[Arm, Arm],
+    left: Float[np.ndarray, "L A"],
+    right: Float[np.ndarray, "R B"],
+    rows: tuple[Int[np.ndarray, " L"], Int[np.ndarray, " R"]],
+    around: Surroundings,
+    pairs: Int[np.ndarray, "M 2"] | None = None,
+    *,
+    with_hands: bool = True,
+) -> Float[np.ndarray, " M"]:
+    """Clearance between two arms [m].
+
+    Args:
+        arms: Left and right.
+        left: Configurations of the left arm [rad].
+        right: Of the right arm [rad].
+        rows: The grasp that each is of.
+        around: What is there.
+        pairs: Which are taken together; each with its like when omitted.
+        with_hands: The hands count.
+    """
+    import warp as wp
+
+    from bidexdata.arms.clearance_kernels import clear_of_each_other
+
+    if pairs is None:
+        pairs = np.repeat(np.arange(len(left), dtype=np.int32)[:, None], 2, axis=1)
+    if not len(pairs):
+        return np.zeros(0)
+    device = around.device
+    hands = around.hands if with_hands else (_nothing_held(device),) * 2
+    one, other = (
+        _place(arm, q, row, hand, device)
+        for arm, q, row, hand in zip(arms, (left, right), rows, hands, strict=True)
+    )
+    chosen = wp.array(np.ascontiguousarray(pairs, np.int32), dtype=int, device=device)
+    out = wp.empty(len(pairs), dtype=float, device=device)
+    wp.launch(
+        clear_of_each_other,
+        dim=len(pairs),
+        inputs=[one.spheres, other.spheres, *hands, one.centre, other.centre, one.rows, other.rows,
+                chosen, out],
+        device=device,
+    )  # fmt: skip
+    return out.numpy().astype(np.float64)
+
+
+def room_of_ways(
+    around: Surroundings,
+    side: int,
+    pos: Float[np.ndarray, "N 3"],
+    rot: Float[np.ndarray, "N 3 3"],
+    ways: Float[np.ndarray, "N D 3"],
+    checks: int,
+) -> tuple[Float[np.ndarray, "N D"], Float[np.ndarray, "N D"]]:
+    """Clearance of open hands from the object on straight ways: behind their starts, and there [m].
+
+    Args:
+        around: The object and the hands.
+        side: Which hands.
+        pos: Where they are [m].
+        rot: How they are turned.
+        ways: Where they go from there [m].
+        checks: In how many steps.
+    """
+    import warp as wp
+
+    from bidexdata.arms.clearance_kernels import room_of_hands
+
+    device, shape = around.device, ways.shape[:2]
+    room, start = (wp.empty(shape, dtype=float, device=device) for _ in range(2))
+    turns = np.ascontiguousarray(rot, np.float32)
+    lines = np.ascontiguousarray(ways, np.float32)
+    wp.launch(
+        room_of_hands,
+        dim=shape,
+        inputs=[
+            *(around.hands[side], around.field, around.object, _vectors(pos, device, len(pos))),
+            wp.array(turns, dtype=wp.mat33, shape=(len(pos),), device=device),
+            wp.array(lines, dtype=wp.vec3, shape=shape, device=device),
+            *(checks, room, start),
+        ],
+        device=device,
+    )
+    return room.numpy().astype(np.float64), start.numpy().astype(np.float64)
+
+
 def clearances(
     arm: Arm,
     q: Float[np.ndarray, "N *c A"],
@@ -77,31 +230,9 @@ def clearances(
         hands: The hand, for each row, where it counts.
         device: A Warp device.
     """
-    import warp as wp
-
-    from bidexdata.arms.clearance_kernels import clear_alone
-
-    start_warp()
-    shape = q.shape[:-1]
-    count = int(np.prod(shape))
-    if count == 0:
-        return Clearances(np.zeros(shape), np.zeros(shape), np.zeros(shape))
-    side = _place(arm, q, hands, device)
-    out = [wp.empty(count, dtype=float, device=device) for _ in range(3)]
-    wp.launch(
-        clear_alone,
-        dim=count,
-        inputs=[
-            side.spheres,
-            side.hand,
-            *_object_on_device(placed, len(q), device),
-            side.per_row,
-            side.centre,
-            *out,
-        ],
-        device=device,
-    )
-    return Clearances(*(x.numpy().astype(np.float64).reshape(shape) for x in out))
+    around = Surroundings(placed, (hands, None), rows=len(q), device=device)
+    flat, rows = _flat(q)
+    return Clearances(*clear_at(arm, flat, rows, around).reshape(3, *q.shape[:-1]))
 
 
 def clearance_between(
@@ -123,27 +254,15 @@ def clearance_between(
         hands: The hands, for each row of configurations, where they count.
         device: A Warp device.
     """
-    import warp as wp
+    around = Surroundings(None, hands or (None, None), rows=0, device=device)
+    one, other = _flat(left), _flat(right)
+    return apart_at(arms, one[0], other[0], (one[1], other[1]), around, pairs)
 
-    from bidexdata.arms.clearance_kernels import clear_of_each_other
 
-    if not len(pairs):
-        return np.zeros(0)
-    start_warp()
-    out = wp.empty(len(pairs), dtype=float, device=device)
-    chosen = wp.array(np.ascontiguousarray(pairs, np.int32), dtype=int, device=device)
-    one, other = (
-        _place(arm, q, None if hands is None else hands[h], device)
-        for h, (arm, q) in enumerate(zip(arms, (left, right), strict=True))
-    )
-    wp.launch(
-        clear_of_each_other,
-        dim=len(pairs),
-        inputs=[one.spheres, other.spheres, one.hand, other.hand, one.per_row, other.per_row,
-                one.centre, other.centre, chosen, out],
-        device=device,
-    )  # fmt: skip
-    return out.numpy().astype(np.float64)
+def _flat(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Configurations (N, *c, A) as (M, A), and the row of each."""
+    per_row = int(np.prod(q.shape[1:-1]))
+    return q.reshape(len(q) * per_row, q.shape[-1]), np.repeat(np.arange(len(q)), per_row)
 
 
 def clearances_reference(
@@ -190,41 +309,32 @@ def held_spheres(
     return pos[..., None, :] + np.einsum("...ij,...kj->...ki", rot, local)
 
 
-class _Side(NamedTuple):
+class _Spread(NamedTuple):
     """One arm with its hand at some configurations, on a device."""
 
     spheres: Any
-    hand: Any
-    per_row: int
+    rows: Any
     centre: Any
 
 
-def _place(arm: Arm, q: np.ndarray, hands: HeldHands | None, device: str) -> _Side:
+def _place(arm: Arm, q: np.ndarray, rows: np.ndarray, hand: Any, device: str) -> _Spread:
     import warp as wp
 
     from bidexdata.arms.clearance_kernels import place_arm_spheres
 
-    flat = np.ascontiguousarray(q.reshape(-1, arm.chain.joints), np.float32)
-    per_row = max(1, len(flat) // max(1, len(q)))
     spheres = _spheres_on_device(arm, device)
-    hand = _nothing_held(device) if hands is None else _hands_on_device(hands, device)
-    held = 0 if hands is None else len(hands.radius)
+    held = hand.radius.shape[0]
     width = len(arm.spheres.radius) + spheres.group_joint.shape[0] + (held + 1 if held else 0)
-    centre = wp.zeros((len(flat), width), dtype=wp.vec3, device=device)
+    centre = wp.zeros((len(q), width), dtype=wp.vec3, device=device)
+    of = wp.array(np.ascontiguousarray(rows, np.int32), dtype=int, device=device)
+    angles = wp.array(np.ascontiguousarray(q, np.float32), dtype=float, device=device)
     wp.launch(
         place_arm_spheres,
-        dim=len(flat),
-        inputs=[
-            chain_on_device(arm.chain, device),
-            spheres,
-            hand,
-            per_row,
-            wp.array(flat, dtype=float, device=device),
-            centre,
-        ],
+        dim=len(q),
+        inputs=[chain_on_device(arm.chain, device), spheres, hand, angles, of, centre],
         device=device,
     )
-    return _Side(spheres, hand, per_row, centre)
+    return _Spread(spheres, of, centre)
 
 
 def _hands_on_device(hands: HeldHands, device: str) -> Any:
@@ -270,7 +380,7 @@ def _far_from_hand(arm: Arm) -> int:
     return int(np.searchsorted(arm.spheres.joint, arm.chain.joints - 4, side="right"))
 
 
-def _object_on_device(placed: Placed | None, rows: int, device: str) -> list[Any]:
+def _object_on_device(placed: Placed | None, rows: int, device: str) -> tuple[Any, Any]:
     import warp as wp
 
     from bidexdata.arms.clearance_kernels import ObjectArrays
@@ -286,7 +396,7 @@ def _object_on_device(placed: Placed | None, rows: int, device: str) -> list[Any
     around.pos = _vectors(placed.pos, device, rows)
     rot = np.ascontiguousarray(placed.rot, np.float32)
     around.rot = wp.array(rot, dtype=wp.mat33, shape=(rows,), device=device)
-    return [_field_on_device(placed.field, device), around]
+    return _field_on_device(placed.field, device), around
 
 
 def _vectors(values: np.ndarray, device: str, count: int) -> Any:

@@ -72,15 +72,15 @@ def place_arm_spheres(
     chain: ChainArrays,
     spheres: SphereArrays,
     hand: HandArrays,
-    per_row: int,
-    # Configurations in:
+    # Configurations in, and the row of hands and objects that each is of:
     q_in: wp.array2d(dtype=float),
+    row_in: wp.array(dtype=int),
     # Centres out:
     centre_out: wp.array2d(dtype=wp.vec3),
 ):
     """Place spheres and balls, which lie in the order of the chain, and those of the hand."""
     m = wp.tid()
-    n = m / per_row
+    n = row_in[m]
     at = wp.vec3(0.0, 0.0, 0.0)
     turn = wp.identity(n=3, dtype=float)
     k = wp.int32(0)
@@ -247,17 +247,15 @@ def clear_alone(
     # Object, one pose per row of configurations:
     field: DistanceField,
     around: ObjectArrays,
-    per_row: int,
-    # Configurations in:
+    # Configurations in, and the row of hands and objects that each is of:
     centre_in: wp.array2d(dtype=wp.vec3),
-    # Clearances out:
-    table_out: wp.array(dtype=float),
-    object_out: wp.array(dtype=float),
-    self_out: wp.array(dtype=float),
+    row_in: wp.array(dtype=int),
+    # Clearances out, from table, object and itself:
+    gap_out: wp.array2d(dtype=float),
 ):
     """Least clearance of one arm from table, object, and itself with the fixtures."""
     m = wp.tid()
-    n = m / per_row
+    n = row_in[m]
     table = float(FAR)
     near = float(FAR)
     itself = float(FAR)
@@ -278,9 +276,9 @@ def clear_alone(
                     near = wp.min(near, object_gap(field, around, n, p, r))
                 if by_fixture:
                     itself = wp.min(itself, fixture_gap(spheres, p, r))
-    table_out[m] = table
-    object_out[m] = near
-    self_out[m] = self_gap(spheres, hand, centre_in, m, n, itself)
+    gap_out[0, m] = table
+    gap_out[1, m] = near
+    gap_out[2, m] = self_gap(spheres, hand, centre_in, m, n, itself)
 
 
 @wp.kernel
@@ -290,12 +288,11 @@ def clear_of_each_other(
     right: SphereArrays,
     left_hand: HandArrays,
     right_hand: HandArrays,
-    # Rows of configurations, for the hands:
-    left_per_row: int,
-    right_per_row: int,
-    # Configurations in:
+    # Configurations in, and the row of hands that each is of:
     left_in: wp.array2d(dtype=wp.vec3),
     right_in: wp.array2d(dtype=wp.vec3),
+    left_row_in: wp.array(dtype=int),
+    right_row_in: wp.array(dtype=int),
     # Which of each arm's are taken together:
     pair_in: wp.array2d(dtype=int),
     # Clearances out:
@@ -310,10 +307,10 @@ def clear_of_each_other(
     least = float(FAR)
     for back in range(left_parts):
         g = left_parts - 1 - back
-        p, wide = part_ball(left, left_hand, left_in, a, a / left_per_row, g)
+        p, wide = part_ball(left, left_hand, left_in, a, left_row_in[a], g)
         for behind in range(right_parts):
             h = right_parts - 1 - behind
-            x, broad = part_ball(right, right_hand, right_in, b, b / right_per_row, h)
+            x, broad = part_ball(right, right_hand, right_in, b, right_row_in[b], h)
             if wp.length(p - x) - wide - broad < least:
                 first = part_first(left, g)
                 other = part_first(right, h)
@@ -326,3 +323,39 @@ def clear_of_each_other(
                             s = part_radius(right, right_hand, other + j)
                             least = wp.min(least, gap - s)
     gap_out[m] = least
+
+
+@wp.kernel
+def room_of_hands(
+    # Hand and object, by row:
+    hand: HandArrays,
+    field: DistanceField,
+    around: ObjectArrays,
+    # Poses in, and ways on from them:
+    pos_in: wp.array(dtype=wp.vec3),
+    rot_in: wp.array(dtype=wp.mat33),
+    way_in: wp.array2d(dtype=wp.vec3),
+    checks: int,
+    # Least clearances from the object out: along the ways, and where they begin:
+    room_out: wp.array2d(dtype=float),
+    start_out: wp.array2d(dtype=float),
+):
+    """Least clearance of an open hand that moves on without turning, in equal steps."""
+    n, d = wp.tid()
+    room = float(FAR)
+    start = float(FAR)
+    for step in range(checks + 1):
+        at = pos_in[n] + (float(step) / float(checks)) * way_in[n, d]
+        ball = at + rot_in[n] * hand.ball_pos[n]
+        if step == 0 or object_bound(around, n, ball, hand.ball_radius[n]) < room:
+            least = float(FAR)
+            for i in range(hand.radius.shape[0]):
+                p = at + rot_in[n] * hand.pos[n, i]
+                if object_bound(around, n, p, hand.radius[i]) < least:
+                    least = wp.min(least, object_gap(field, around, n, p, hand.radius[i]))
+            if step == 0:
+                start = least
+            else:
+                room = wp.min(room, least)
+    room_out[n, d] = room
+    start_out[n, d] = start

@@ -19,6 +19,8 @@ class ClearanceConfig:
     """Clearance by spheres below which a posture of the search collides [m]."""
     enough: float = 0.03
     """Clearance beyond which more does not make a posture better [m]."""
+    asked: float = 0.05
+    """Clearance by spheres below which MuJoCo is asked about a knot of the approach [m]."""
     depth: float = 0.001
     """Overlap that MuJoCo may find at a knot [m]."""
     reach: float = 0.05
@@ -27,6 +29,7 @@ class ClearanceConfig:
     def __post_init__(self) -> None:
         refuse_outside(self, "margin", -0.1, 0.1)
         refuse_outside(self, "enough", 0, 1)
+        refuse_outside(self, "asked", 0, 1)
         refuse_outside(self, "depth", 0, 0.01)
         refuse_outside(self, "reach", 0.001, 1)
 
@@ -45,7 +48,7 @@ class PathConfig:
     squeeze_palm: Literal["moves", "fixed"] = "moves"
     """Whether the palms go on to the stored squeeze (the paper's formula on all of G), or stay at
     the grasp and fingers alone close (BODex)."""
-    knots: tuple[int, int, int, int, int] = (32, 5, 5, 3, 5)
+    knots: tuple[int, int, int, int, int] = (40, 5, 5, 3, 5)
     """Knots of approach, reach, close, squeeze and lift, the first knot of all not counted. Straight
     lines in space need about one knot in two centimetres."""
     seconds: tuple[float, float, float, float, float] = (1.0, 0.5, 0.4, 0.4, 1.0)
@@ -81,15 +84,22 @@ class SearchConfig:
     """Starts of the inverse kinematics near the rest posture, besides `ik.starts` [-]."""
     rest_spread: float = 1.0
     """How far they lie beside it [rad]."""
-    followed: int = 8
-    """Postures of an arm that are taken through their waypoints at a time, best first [-]."""
+    kept: int = 8
+    """Postures of an arm that are taken through their waypoints, best first; the next as many only
+    where none of those is free [-]."""
     pairs: int = 12
     """Pairs of postures of the two arms that are tried [-]."""
+    words: int = 3
+    """Of those, how many MuJoCo may refuse [-]."""
     back_off: float = 0.15
     """Where the straight way from home to the stand-off is blocked, it goes by a pose this much
     farther back, one this much higher, or both [m]."""
+    detours: int = 3
+    """Postures of an arm for which that is tried [-]."""
+    plans: int = 1
+    """Postures of an arm to which a way is planned after that [-]."""
     nodes: int = 96
-    """Postures of the planner that is tried after that [-]; 0: none."""
+    """Postures that a plan may go over [-]; 0: none is made."""
     neighbours: int = 8
     """Nearest postures that each of them may go on to [-]."""
     spread: float = 1.5
@@ -100,7 +110,16 @@ class SearchConfig:
     """Largest turn of a joint between checks of a way [rad]."""
 
     def __post_init__(self) -> None:
-        for name in ("near_rest", "followed", "pairs", "neighbours", "replans"):
+        for name in (
+            "near_rest",
+            "kept",
+            "pairs",
+            "words",
+            "detours",
+            "plans",
+            "neighbours",
+            "replans",
+        ):
             refuse_outside(self, name, 1, 1024)
         refuse_outside(self, "nodes", 0, 4096)
         refuse_outside(self, "back_off", 0.01, 1)

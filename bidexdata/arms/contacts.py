@@ -90,6 +90,7 @@ def arm_distances(
     arm_q: Float[np.ndarray, "*t 2 A"],
     joints: Float[np.ndarray, "*s 2 J"],
     *,
+    rise: Float[np.ndarray, "*t"] | None = None,
     reach: float = REACH,
     hands_touch: bool,
 ) -> ArmDepths:
@@ -99,6 +100,7 @@ def arm_distances(
         arms: The scene; its arms and fingers are moved.
         arm_q: Joint angles of the arms [rad].
         joints: Of the hands [rad], as many as of the arms or one for all.
+        rise: How much higher than that the object is in each posture [m].
         reach: Pairs farther apart than this are not looked for [m].
         hands_touch: Fingers may touch the object.
     """
@@ -109,6 +111,8 @@ def arm_distances(
     postures = arm_q.reshape(-1, *arm_q.shape[-2:])
     fingers = np.broadcast_to(joints, (*lead, *joints.shape[-2:])).reshape(-1, *joints.shape[-2:])
     found = np.empty((len(postures), 4))
+    height, up = arms.scene.object_qpos + 2, None if rise is None else rise.ravel()
+    low = float(data.qpos[height])
     kinds = pair_kinds(arms, hands_touch=hands_touch)
     owner = arms.scene.geom_owner
     near = owner <= ARM
@@ -121,6 +125,8 @@ def arm_distances(
         with engine_warnings_logged():
             for k in range(len(postures)):
                 place_joints(arms, postures[k], fingers[k])
+                if up is not None:
+                    data.qpos[height] = low + up[k]
                 mujoco.mj_kinematics(model, data)
                 mujoco.mj_comPos(model, data)
                 mujoco.mj_collision(model, data)
@@ -128,6 +134,8 @@ def arm_distances(
     finally:
         model.geom_gap[near] = 0.0
         model.body_margin[bodies] = 0.0
+        if up is not None:
+            data.qpos[height] = low
     return ArmDepths(*(column.reshape(lead) for column in found.T))
 
 

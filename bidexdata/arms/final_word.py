@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from bidexdata.arms.arm_scene import ArmScene, set_arms
 from bidexdata.arms.config import ArmConfig
-from bidexdata.arms.contacts import ArmDepths, arm_distances
+from bidexdata.arms.contacts import arm_distances
 from bidexdata.arms.solutions import Targets
 from bidexdata.record.status import Status
 
@@ -26,7 +26,7 @@ class FinalWord(NamedTuple):
     """Of one motion."""
 
     status: Status
-    """OK, or what is deepest at the first knot that is too deep."""
+    """OK, or what is too deep first."""
     least: Float[np.ndarray, " 4"]
     """Least signed distances to table, object, the other arm and itself, at most the reach [m]."""
 
@@ -35,8 +35,8 @@ def final_word(
     scene: ArmScene,
     targets: Targets,
     row: int,
-    path: Float[np.ndarray, "2 K A"],
-    asked: Bool[np.ndarray, " K"],
+    path: Float[np.ndarray, "2 W A"],
+    asked: Bool[np.ndarray, " W"],
     config: ArmConfig,
 ) -> FinalWord:
     """Ask MuJoCo about one motion.
@@ -54,36 +54,31 @@ def final_word(
         config: How deep they may be.
     """
     approach, reach, close, squeeze, lift = config.path.knots
-    touch = approach + reach
-    risen = touch + close + squeeze
-    share = np.clip((np.arange(path.shape[1]) - touch) / close, 0.0, 1.0)[:, None, None]
-    joints = targets.joints[row, :, 0] + share * (
-        targets.joints[row, :, 1] - targets.joints[row, :, 0]
-    )
-    pos, quat = targets.object_pos, targets.object_quat_wxyz
-    knots = np.flatnonzero(asked)
+    pregrasp = approach + reach
+    squeezed = pregrasp + close + squeeze
+    number = np.arange(path.shape[1])
+    share = np.clip((number - pregrasp) / close, 0.0, 1.0)[:, None, None]
+    first, closed = targets.joints[row, :, 0], targets.joints[row, :, 1]
+    joints = first + share * (closed - first)
+    rise = np.maximum(number - squeezed, 0) / lift * config.path.lift
+    set_arms(scene, targets.object_pos, targets.object_quat_wxyz, path[:, 0], joints[0])
     least = np.full(4, config.clearance.reach)
-    for some, hands_touch in ((knots[knots < touch - 1], False), (knots[knots >= touch - 1], True)):
-        low = some[some <= risen]
-        groups = [low] if len(low) else []
-        groups += [np.array([k]) for k in some[some > risen]]
-        for group in groups:
-            height = max(0.0, (group[-1] - risen) / lift) * config.path.lift
-            set_arms(
-                scene, pos + np.array([0.0, 0.0, height]), quat, path[:, group[0]], joints[group[0]]
-            )
-            depths = arm_distances(
-                scene, path[:, group].swapaxes(0, 1), joints[group],
-                reach=config.clearance.reach, hands_touch=hands_touch,
-            )  # fmt: skip
-            worst = _first_too_deep(depths, config.clearance.depth)
-            least = np.minimum(least, [np.min(x) for x in depths])
-            if worst is not None:
-                return FinalWord(worst, least)
+    # The grasp is looked at first: most motions that collide do so there.
+    for touch in (True, False):
+        knots = np.flatnonzero(asked & ((number >= pregrasp - 1) == touch))
+        found = np.stack(
+            arm_distances(
+                scene,
+                path[:, knots].swapaxes(0, 1),
+                joints[knots],
+                rise=rise[knots],
+                reach=config.clearance.reach,
+                hands_touch=touch,
+            ),
+            axis=1,
+        )
+        least = np.minimum(least, found.min(axis=0, initial=config.clearance.reach))
+        deep = np.flatnonzero(found.min(axis=1) < -config.clearance.depth)
+        if len(deep):
+            return FinalWord(_STATUS[int(found[deep[0]].argmin())], least)
     return FinalWord(Status.OK, least)
-
-
-def _first_too_deep(depths: ArmDepths, depth: float) -> Status | None:
-    found = np.stack(depths, axis=1)
-    deep = np.flatnonzero(found.min(axis=1) < -depth)
-    return None if not len(deep) else _STATUS[int(found[deep[0]].argmin())]

@@ -23,11 +23,11 @@ _ROOM = 1e-9
 
 
 class Smoothed(NamedTuple):
-    """A path after smoothing."""
+    """Paths after smoothing."""
 
-    path: Float[np.ndarray, "W A"]
+    path: Float[np.ndarray, "*r W A"]
     """[rad]; the given path where there is no solution."""
-    solved: bool
+    solved: Bool[np.ndarray, "*r"]
 
 
 class Smoother:
@@ -41,33 +41,38 @@ class Smoother:
 
     def smooth(
         self,
-        path: Float[np.ndarray, "W A"],
+        path: Float[np.ndarray, "*r W A"],
         pinned: Bool[np.ndarray, " W"],
         lower: Float[np.ndarray, " A"],
         upper: Float[np.ndarray, " A"],
         largest_step: float,
     ) -> Smoothed:
-        """Smooth a path between its pinned knots.
+        """Smooth paths between their pinned knots; none depends on the others.
 
         Args:
-            path: The path [rad].
+            path: The paths [rad].
             pinned: Knots that stay where they are.
             lower: Joint limits [rad].
             upper: [rad].
             largest_step: Largest turn of a joint from knot to knot [rad].
 
         Returns:
-            The path with the least sum of squared third differences; pinned knots are bit-equal.
+            The paths with the least sum of squared third differences; pinned knots are bit-equal.
         """
-        assert path.shape == self._shape
-        smooth = path.copy()
-        free = ~pinned
-        known = NEAR * path[free] - self._hessian[np.ix_(free, pinned)] @ path[pinned]
-        smooth[free] = np.linalg.solve(self._hessian[np.ix_(free, free)], known)
-        inside = np.all((smooth >= lower - _ROOM) & (smooth <= upper + _ROOM))
-        if inside and np.abs(np.diff(smooth, axis=0)).max(initial=0.0) <= largest_step + _ROOM:
-            return Smoothed(np.where(free[:, None], np.clip(smooth, lower, upper), path), True)
-        return self._bounded(path, pinned, lower, upper, largest_step)
+        assert path.shape[-2:] == self._shape
+        smooth, free = path.copy(), ~pinned
+        across = self._hessian[np.ix_(free, pinned)]
+        known = NEAR * path[..., free, :] - across @ path[..., pinned, :]
+        smooth[..., free, :] = np.linalg.solve(self._hessian[np.ix_(free, free)], known)
+        inside = (smooth >= lower - _ROOM) & (smooth <= upper + _ROOM)
+        steps = np.abs(np.diff(smooth, axis=-2)).max(axis=(-2, -1), initial=0.0)
+        good = inside.all(axis=(-2, -1)) & (steps <= largest_step + _ROOM)
+        smooth = np.where(free[:, None], np.clip(smooth, lower, upper), path)
+        solved = np.ones(good.shape, bool)
+        for index in zip(*np.nonzero(~np.atleast_1d(good)), strict=True):
+            at = index if path.ndim > 2 else ()
+            smooth[at], solved[at] = self._bounded(path[at], pinned, lower, upper, largest_step)
+        return Smoothed(smooth, solved)
 
     def _bounded(
         self,
@@ -76,8 +81,8 @@ class Smoother:
         lower: np.ndarray,
         upper: np.ndarray,
         largest_step: float,
-    ) -> Smoothed:
-        """The same where a bound is met, by OSQP."""
+    ) -> tuple[np.ndarray, bool]:
+        """The same for one path where a bound is met, by OSQP."""
         knots, joints = self._shape
         solver = self._solver = self._solver or _set_up(self._hessian, joints)
         fixed = np.broadcast_to(pinned[:, None], path.shape)
@@ -89,9 +94,9 @@ class Smoother:
         solver.warm_start(x=given, y=np.zeros(len(bottom)))
         found = solver.solve(raise_error=False)
         if found.info.status != "solved":
-            return Smoothed(path, False)
+            return path, False
         smooth = np.asarray(found.x, np.float64).reshape(joints, knots).T
-        return Smoothed(np.where(fixed, path, np.clip(smooth, lower, upper)), True)
+        return np.where(fixed, path, np.clip(smooth, lower, upper)), True
 
 
 def roughness(path: Float[np.ndarray, "W A"]) -> float:

@@ -13,25 +13,32 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float, Int
 
-from bidexdata.arms.approach import Around, approaches, least_alone, least_apart
 from bidexdata.arms.arm_scene import ArmScene
-from bidexdata.arms.arm_spheres import TOLERANCE
-from bidexdata.arms.candidates import FREE, Candidates, Ways, find_candidates, ways
+from bidexdata.arms.candidates import (
+    FREE,
+    Candidates,
+    Ways,
+    find_candidates,
+    object_along,
+    ways,
+)
 from bidexdata.arms.chain import chain_forward
-from bidexdata.arms.clearance import HeldHands, Placed
+from bidexdata.arms.clearance import HeldHands, Placed, Surroundings, apart_at, clear_at
 from bidexdata.arms.config import ArmConfig
 from bidexdata.arms.final_word import final_word
 from bidexdata.arms.robot import Robot
 from bidexdata.arms.smoothing import Smoother
 from bidexdata.arms.solutions import ArmSolutions, Targets, no_solutions
 from bidexdata.arms.timing import knot_times
+from bidexdata.arms.ways_home import OTHERS, OVER, PLANNED, STRAIGHT, WaysHome, waiting
 from bidexdata.frames import matrix_from_quat, quat_angle, quat_from_matrix
 from bidexdata.hands.kinematics import hand_points
 from bidexdata.objects.prepared import SignedDistanceGrid
 from bidexdata.record.status import Status
 
-APART, APPROACHED, STEADY = FREE + 1, FREE + 2, FREE + 3
-"""Gates of a pair of candidates, after those of each: arms apart, a way from home, no large step."""
+APART, STEADY, SPOKEN = FREE + 1, FREE + 2, FREE + 3
+"""Gates at which a pair of candidates that have ways from home ends: the arms meet, a step is too large,
+MuJoCo has spoken."""
 
 
 def solve_arms(
@@ -60,19 +67,48 @@ def solve_arms(
     if not len(rows):
         return every
     targets = targets.select(rows)
-    way = (ways(robot, 0, field, targets, config), ways(robot, 1, field, targets, config))
+    around = surroundings(robot, field, targets, device=device)
+    along = object_along(field, targets, config, device=device)
+    way = (ways(robot, 0, around, targets, config), ways(robot, 1, around, targets, config))
     left, right = (
-        find_candidates(arm, way[h], field, targets, config, device=device)
+        find_candidates(arm, way[h], along, config, device=device)
         for h, arm in enumerate(robot.arms)
     )
     made = no_solutions(robot, config, len(rows), Status.OK)
     made.arm_starts[:] = config.ik.starts + config.search.near_rest
     _refuse(made, (left, right), config)
-    _try_pairs(made, robot, field, scene, targets, (left, right), config, device)
+    _Pairing(robot, scene, targets, (left, right), around, config).solve(made)
     _measure(made, robot, way, config)
     for whole, part in zip(every, made, strict=True):
         whole[rows] = part
     return every
+
+
+def surroundings(
+    robot: Robot,
+    field: SignedDistanceGrid | None,
+    targets: Targets,
+    *,
+    device: str = "cpu",
+) -> Surroundings:
+    """The object and the open hands of each grasp."""
+    count = len(targets.hand_pos)
+    left, right = (
+        HeldHands(
+            hand_points(hand, targets.joints[:, h, 0, : len(hand.joint_names)]).sphere,
+            hand.sphere_radius,
+        )
+        for h, hand in enumerate(robot.hands)
+    )
+    placed = None
+    if field is not None:
+        rot = matrix_from_quat(targets.object_quat_wxyz)
+        placed = Placed(
+            *(field, np.full(count, targets.size)),
+            np.tile(targets.object_pos, (count, 1)),
+            np.tile(rot, (count, 1, 1)),
+        )
+    return Surroundings(placed, (left, right), rows=count, device=device)
 
 
 def _finite(robot: Robot, targets: Targets) -> np.ndarray:
@@ -112,169 +148,179 @@ def _keep(
         made.manipulability[rows, h] = side.manipulability[rows, picks[:, h]]
 
 
-def _pairs(sides: tuple[Candidates, Candidates], most: int) -> Int[np.ndarray, "N P 2"]:
-    """Pairs of free candidates, best first; -1 behind the last."""
-    cost = sides[0].cost[:, :, None] + sides[1].cost[:, None]
-    flat = cost.reshape(len(cost), -1)
-    order = np.argsort(flat, axis=1, kind="stable")[:, :most]
-    pairs = np.stack(np.divmod(order, cost.shape[2]), axis=2)
-    pairs[~np.isfinite(np.take_along_axis(flat, order, axis=1))] = -1
-    return pairs
+class _Pairing:
+    """Pairs of candidates of both arms, tried until each grasp has a motion or no more."""
 
+    def __init__(
+        self,
+        robot: Robot,
+        scene: ArmScene | None,
+        targets: Targets,
+        sides: tuple[Candidates, Candidates],
+        around: Surroundings,
+        config: ArmConfig,
+    ) -> None:
+        self._robot, self._scene, self._targets = robot, scene, targets
+        self._sides, self._around, self._config = sides, around, config
+        both = sides[0].free.any(axis=1) & sides[1].free.any(axis=1)
+        self._home = tuple(
+            WaysHome(robot, h, side.q[:, :, 0], side.free & both[:, None], around, config)
+            for h, side in enumerate(sides)
+        )
+        self._open = sides[0].free[:, :, None] & sides[1].free[:, None]
+        self._cost = sides[0].cost[:, :, None] + sides[1].cost[:, None]
+        self._gate = np.full(len(both), FREE)
+        self._tries = np.zeros(len(both), np.int64)
+        self._todo = both
 
-def _try_pairs(
-    made: ArmSolutions,
-    robot: Robot,
-    field: SignedDistanceGrid | None,
-    scene: ArmScene | None,
-    targets: Targets,
-    sides: tuple[Candidates, Candidates],
-    config: ArmConfig,
-    device: str,
-) -> None:
-    """Try pairs of candidates until each grasp has a motion or no more; writes to `made`."""
-    pairs = _pairs(sides, config.search.pairs)
-    gate = np.zeros(len(pairs), np.int64)
-    done = made.arm_status != Status.OK
-    for number in range(pairs.shape[1]):
-        rows = np.flatnonzero(~done & (pairs[:, number, 0] >= 0))
+    def solve(self, made: ArmSolutions) -> None:
+        """Try harder and harder; writes to `made`."""
+        for effort in (STRAIGHT, OTHERS, OVER, PLANNED):
+            rows = np.flatnonzero(self._todo)
+            if not len(rows):
+                return
+            lacking = [~home.ok[rows].any(axis=1) for home in self._home]
+            stuck = ~(lacking[0] | lacking[1])
+            for home, lacks in zip(self._home, lacking, strict=True):
+                home.find(effort, rows[lacks | stuck])
+            while len(rows := self._next_rows()):
+                self._try(made, rows)
+        for h in (1, 0):
+            without = self._todo & ~self._home[h].ok.any(axis=1)
+            made.arm_status[without] = self._home[h].status[without]
+            made.arm_failed_side[without] = h
+        none = self._todo & ~(self._home[0].ok.any(axis=1) | self._home[1].ok.any(axis=1))
+        made.arm_failed_side[none] = -1
+        rows = np.flatnonzero(self._todo & (self._gate == FREE))
+        _keep(made, self._sides, rows, np.zeros((len(rows), 2), np.int64), self._config)
+
+    def _next_rows(self) -> np.ndarray:
+        """Grasps that still have a pair with two ways from home."""
+        ready = self._open & self._home[0].ok[:, :, None] & self._home[1].ok[:, None]
+        return np.flatnonzero(
+            self._todo & ready.any(axis=(1, 2)) & (self._tries < self._config.search.pairs)
+        )
+
+    def _best(self, rows: np.ndarray) -> np.ndarray:
+        """The best open pair of each of some grasps, (R, 2); it is open no more."""
+        ready = self._open[rows] & self._home[0].ok[rows][:, :, None]
+        ready &= self._home[1].ok[rows][:, None]
+        cost = np.where(ready, self._cost[rows], np.inf).reshape(len(rows), -1)
+        picks = np.stack(np.divmod(cost.argmin(axis=1), self._open.shape[2]), axis=1)
+        self._open[rows, picks[:, 0], picks[:, 1]] = False
+        self._tries[rows] += 1
+        return picks
+
+    def _try(self, made: ArmSolutions, rows: np.ndarray) -> None:
+        """Try the next pair of each of some grasps."""
+        picks, config, count = self._best(rows), self._config, self._config.path.knots[0] + 1
+        way = [home.path[rows, picks[:, h]] for h, home in enumerate(self._home)]
+        on = [side.q[rows, picks[:, h], 1:] for h, side in enumerate(self._sides)]
+        apart = self._apart(rows, way) >= config.clearance.margin
+        for k in np.flatnonzero(~apart):
+            apart[k] = self._wait(int(rows[k]), picks[k], way, int(k))
+        apart &= self._apart(rows, on, with_hands=False) >= config.clearance.margin
+        self._stop(made, rows, picks, ~apart, APART, Status.COLLISION_ARMS)
+        rows, picks = rows[apart], picks[apart]
         if not len(rows):
             return
-        picks = pairs[rows, number]
-        tried = _try(robot, field, scene, targets, rows,
-                     tuple(side.q[rows, picks[:, h]] for h, side in enumerate(sides)),
-                     config, device)  # fmt: skip
-        farther = tried.gate > gate[rows]
-        some = rows[farther]
-        gate[some] = tried.gate[farther]
-        made.arm_status[some] = tried.status[farther]
-        made.arm_failed_side[some] = tried.side[farther]
-        _keep(made, sides, some, picks[farther], config)
-        good = tried.status == Status.OK
-        done[rows[good]] = True
-        _keep_paths(made, robot, rows[good], tried, good, config)
+        paths = [np.concatenate([way[h][apart], on[h][apart]], axis=1) for h in range(2)]
+        gap = self._smooth(rows, paths)
+        turns = np.max([_largest_step(path) for path in paths], axis=0)
+        steady = turns <= config.path.largest_step
+        self._stop(made, rows, picks, ~steady, STEADY, Status.JUMP)
+        for k in np.flatnonzero(steady):
+            n, both = int(rows[k]), _padded(self._robot, [path[k] for path in paths])
+            status, least = Status.OK, np.full(4, np.nan)
+            if self._scene is not None:
+                asked = np.ones(both.shape[1], bool)
+                asked[: count - 1] = gap[k, :-1] < config.clearance.asked
+                status, least = final_word(self._scene, self._targets, n, both, asked, config)
+                if status != Status.OK:
+                    self._tries[n] += config.search.pairs // config.search.words
+            one = np.arange(len(rows)) == k
+            self._stop(made, rows, picks, one, SPOKEN, status)
+            if status == Status.OK:
+                _keep_path(made, self._robot, n, [path[k] for path in paths], least, config)
+                self._todo[n] = False
 
+    def _stop(
+        self,
+        made: ArmSolutions,
+        rows: np.ndarray,
+        picks: np.ndarray,
+        some: np.ndarray,
+        gate: int,
+        status: Status,
+    ) -> None:
+        """Let some tries end; those that came farther than any before are kept in `made`."""
+        farther = some & ((gate > self._gate[rows]) | (status == Status.OK))
+        self._gate[rows[farther]] = gate
+        made.arm_status[rows[farther]] = status
+        _keep(made, self._sides, rows[farther], picks[farther], self._config)
 
-class _Tried:
-    """What became of one pair of candidates of each of R grasps."""
+    def _apart(
+        self, rows: np.ndarray, paths: list[np.ndarray], *, with_hands: bool = True
+    ) -> np.ndarray:
+        """Least clearance between the arms on paths that they go together, (R,) [m]."""
+        gaps = self._gaps_apart(rows, paths, with_hands=with_hands)
+        return gaps.min(axis=1, initial=np.inf)
 
-    def __init__(self, count: int) -> None:
-        self.gate = np.full(count, FREE)
-        self.status = np.full(count, int(Status.COLLISION_ARMS))
-        self.side = np.full(count, -1)
-        self.least = np.full((count, 4), np.nan)
-        self.paths: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-
-    def stop(self, some: np.ndarray, gate: int, status: np.ndarray | int) -> None:
-        """Let some of them come to a gate and no farther."""
-        self.gate[some], self.status[some] = gate, status
-
-
-def _try(
-    robot: Robot,
-    field: SignedDistanceGrid | None,
-    scene: ArmScene | None,
-    targets: Targets,
-    rows: np.ndarray,
-    q: tuple[np.ndarray, ...],
-    config: ArmConfig,
-    device: str,
-) -> _Tried:
-    """Try one pair of candidates of each of some grasps, q (R, T, A) per side."""
-    tried, margin = _Tried(len(rows)), config.clearance.margin
-    apart = least_apart(robot, (q[0], q[1]), None, device=device)
-    some = np.flatnonzero(apart.min(axis=1) >= margin)
-    if not len(some):
-        return tried
-    around = _around(robot, field, targets, rows[some])
-    goals = (q[0][some, 0], q[1][some, 0])
-    ways_home = approaches(robot, goals, around, config, device=device)
-    tried.stop(some, APART, ways_home.status)
-    tried.side[some] = ways_home.side
-    good = np.flatnonzero(ways_home.status == Status.OK)
-    if not len(good):
-        return tried
-    some, around = some[good], _around(robot, field, targets, rows[some[good]])
-    paths = [np.concatenate([ways_home.paths[h][good], q[h][some, 1:]], axis=1) for h in range(2)]
-    gap = _smooth(robot, paths, around, config, device)
-    turns = np.max([_largest_step(path) for path in paths], axis=0)
-    tried.stop(some, APPROACHED, Status.JUMP)
-    for k in np.flatnonzero(turns <= config.path.largest_step):
-        n = some[k]
-        path = _padded(robot, [p[k] for p in paths])
-        status, least = Status.OK, np.full(4, np.nan)
-        if scene is not None:
-            asked = np.ones(path.shape[1], bool)
-            asked[: gap.shape[1]] = gap[k] < config.clearance.reach + TOLERANCE
-            status, least = final_word(scene, targets, int(rows[n]), path, asked, config)
-        tried.gate[n], tried.status[n], tried.least[n] = STEADY, status, least
-        tried.paths[int(n)] = (paths[0][k], paths[1][k])
-    return tried
-
-
-def _around(
-    robot: Robot, field: SignedDistanceGrid | None, targets: Targets, rows: np.ndarray
-) -> Around:
-    """The object and the open hands of some grasps."""
-    hands = tuple(
-        HeldHands(
-            hand_points(hand, targets.joints[rows, h, 0, : len(hand.joint_names)]).sphere,
-            hand.sphere_radius,
+    def _gaps_apart(
+        self, rows: np.ndarray, paths: list[np.ndarray], *, with_hands: bool = True
+    ) -> np.ndarray:
+        of = np.repeat(rows, paths[0].shape[1])
+        left, right = (path.reshape(-1, path.shape[2]) for path in paths)
+        gaps = apart_at(
+            self._robot.arms, left, right, (of, of), self._around, with_hands=with_hands
         )
-        for h, hand in enumerate(robot.hands)
-    )
-    placed = None
-    if field is not None:
-        count = len(rows)
-        rot = matrix_from_quat(targets.object_quat_wxyz)
-        placed = Placed(
-            *(field, np.full(count, targets.size)),
-            np.tile(targets.object_pos, (count, 1)),
-            np.tile(rot, (count, 1, 1)),
-        )
-    return Around(placed, (hands[0], hands[1]))
+        return gaps.reshape(paths[0].shape[:2])
 
+    def _wait(self, row: int, pick: np.ndarray, way: list[np.ndarray], k: int) -> bool:
+        """Let one arm wait for the other where they meet on the way; writes to `way`."""
+        left, right = (home.corners[row, int(c)] for home, c in zip(self._home, pick, strict=True))
+        for first in range(2):
+            split = waiting((left, right), first, self._config)
+            if split is None:
+                continue
+            gap = self._apart(np.array([row]), [part[None] for part in split])
+            if gap[0] >= self._config.clearance.margin:
+                way[0][k], way[1][k] = split
+                return True
+        return False
 
-def _smooth(
-    robot: Robot, paths: list[np.ndarray], around: Around, config: ArmConfig, device: str
-) -> Float[np.ndarray, "R K"]:
-    """Smooth the ways from home where that leaves them clear; writes to `paths` (R, W, A).
+    def _smooth(self, rows: np.ndarray, paths: list[np.ndarray]) -> Float[np.ndarray, "R K"]:
+        """Smooth the ways from home where that leaves them clear; writes to `paths`.
 
-    Returns:
-        Clearance by spheres at the knots of the approach [m].
-    """
-    count = config.path.knots[0] + 1
-    pinned = np.ones(paths[0].shape[1], bool)
-    pinned[1 : count - 1] = False
-    smooth = [np.empty_like(path) for path in paths]
-    for h, arm in enumerate(robot.arms):
-        smoother = _smoother(len(pinned), arm.chain.joints)
-        for k, path in enumerate(paths[h]):
-            found = smoother.smooth(
-                path, pinned, arm.chain.lower, arm.chain.upper, 0.999 * config.path.largest_step
+        Returns:
+            Clearance by spheres at the knots of the approach [m].
+        """
+        count = self._config.path.knots[0] + 1
+        pinned = np.ones(paths[0].shape[1], bool)
+        pinned[1 : count - 1] = False
+        smooth = []
+        for arm, path in zip(self._robot.arms, paths, strict=True):
+            smoother = _smoother(len(pinned), arm.chain.joints)
+            most = 0.999 * self._config.path.largest_step
+            smooth.append(
+                smoother.smooth(path, pinned, arm.chain.lower, arm.chain.upper, most).path
             )
-            smooth[h][k] = found.path
-    gap = _gaps(robot, [path[:, :count] for path in smooth], around, device)
-    rough = np.flatnonzero(gap.min(axis=1, initial=np.inf) < config.clearance.margin)
-    if len(rough):
-        for h in range(2):
-            smooth[h][rough] = paths[h][rough]
-        gap = _gaps(robot, [path[:, :count] for path in smooth], around, device)
-    for h in range(2):
-        paths[h][:] = smooth[h]
-    return gap
+        gap = self._gaps(rows, [path[:, :count] for path in smooth])
+        rough = gap.min(axis=1) < self._config.clearance.margin
+        for path, better in zip(paths, smooth, strict=True):
+            path[~rough] = better[~rough]
+        if rough.any():
+            gap[rough] = self._gaps(rows[rough], [path[rough, :count] for path in paths])
+        return gap
 
-
-def _gaps(
-    robot: Robot, paths: list[np.ndarray], around: Around, device: str
-) -> Float[np.ndarray, "R K"]:
-    """Clearance of both arms with their hands at every knot, by spheres [m]."""
-    alone = [
-        least_alone(arm, paths[h], around.placed, around.hands[h], device=device)[0]
-        for h, arm in enumerate(robot.arms)
-    ]
-    apart = least_apart(robot, (paths[0], paths[1]), around.hands, device=device)
-    return np.minimum(apart, np.minimum(*alone))
+    def _gaps(self, rows: np.ndarray, paths: list[np.ndarray]) -> Float[np.ndarray, "R K"]:
+        """Clearance of both arms with their hands at every knot, by spheres [m]."""
+        gap = self._gaps_apart(rows, paths)
+        of = np.repeat(rows, gap.shape[1])
+        for h, (arm, path) in enumerate(zip(self._robot.arms, paths, strict=True)):
+            alone = clear_at(arm, path.reshape(-1, path.shape[2]), of, self._around, h).min(axis=0)
+            gap = np.minimum(gap, alone.reshape(gap.shape))
+        return gap
 
 
 @lru_cache(maxsize=8)
@@ -295,29 +341,27 @@ def _padded(robot: Robot, paths: list[np.ndarray]) -> Float[np.ndarray, "2 W A"]
     return both
 
 
-def _keep_paths(
+def _keep_path(
     made: ArmSolutions,
     robot: Robot,
-    rows: np.ndarray,
-    tried: _Tried,
-    good: np.ndarray,
+    row: int,
+    paths: list[np.ndarray],
+    least: np.ndarray,
     config: ArmConfig,
 ) -> None:
-    """Store motions, their times and clearances; writes to `made`."""
-    path_config = config.path
-    clear = (made.clear_table, made.clear_object, made.clear_arms, made.clear_self)
-    for n, k in zip(rows, np.flatnonzero(good), strict=True):
-        paths = tried.paths[int(k)]
-        both = _padded(robot, list(paths))
-        made.arm_path[n] = both
-        made.arm_joints[n, :, 0] = both[:, 0]
-        made.arm_step[n] = max(float(_largest_step(path[None])[0]) for path in paths)
-        made.arm_time[n] = knot_times(
-            *(paths, [arm.chain.velocity for arm in robot.arms]),
-            *(path_config.knots, path_config.seconds, path_config.speed),
-        )
-        for column, least in zip(clear, tried.least[k], strict=True):
-            column[n] = least
+    """Store a motion, its times and clearances; writes to `made`."""
+    both, rule = _padded(robot, paths), config.path
+    made.arm_path[row] = both
+    made.arm_joints[row, :, 0] = both[:, 0]
+    made.arm_step[row] = max(float(_largest_step(path[None])[0]) for path in paths)
+    made.arm_time[row] = knot_times(
+        *(paths, [arm.chain.velocity for arm in robot.arms]),
+        *(rule.knots, rule.seconds, rule.speed),
+    )
+    for column, value in zip(
+        (made.clear_table, made.clear_object, made.clear_arms, made.clear_self), least, strict=True
+    ):
+        column[row] = value
 
 
 def _measure(made: ArmSolutions, robot: Robot, way: tuple[Ways, Ways], config: ArmConfig) -> None:

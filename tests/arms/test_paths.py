@@ -10,7 +10,7 @@ import pytest
 from bidexdata.arms.smoothing import NEAR, Smoother, roughness
 from bidexdata.arms.timing import knot_times
 from bidexdata.arms.waypoints import Poses, lifted, line, stand_off
-from bidexdata.frames import quat_angle, random_quat, transform
+from bidexdata.frames import quat_angle, random_quat
 
 PIN = 1e-9
 SOLVER = 2e-5  # OSQP stops at 1e-7 of its residuals; paths are of a few radians
