@@ -30,6 +30,7 @@ _PUBLIC = {
     "load_hands": "bidexdata.hands",
     "load_preset": "bidexdata.synthesis.presets",
     "load_protocol": "bidexdata.validation.protocols",
+    "object_interval": "bidexdata.record.intervals",
     "pack_runs": "bidexdata.runs.pack",
     "prepare_library": "bidexdata.runs.prepare",
     "prepare_object": "bidexdata.objects.prepare",
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     from bidexdata.objects.library import Library as Library
     from bidexdata.objects.prepare import prepare_object as prepare_object
     from bidexdata.record import GraspBatch as GraspBatch
+    from bidexdata.record.intervals import object_interval as object_interval
     from bidexdata.runs.import_ import ImportRequest as ImportRequest
     from bidexdata.runs.import_ import import_run as import_run
     from bidexdata.runs.info import describe as describe

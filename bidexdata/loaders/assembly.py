@@ -16,6 +16,7 @@ from bidexdata.loaders.augment import (
     turn_about_gravity,
 )
 from bidexdata.loaders.clouds import CloudRows, distinct
+from bidexdata.loaders.normals import CloudNormals
 from bidexdata.loaders.options import HAND_POSES, POSE_OF_OBJECT, ItemOptions
 from bidexdata.loaders.poses import points_in_world, poses_in_object_frame
 from bidexdata.loaders.rotations import in_form, renamed
@@ -59,6 +60,7 @@ class Assembly:
         self.clouds = None
         if options.cloud is not None:
             self.clouds = CloudRows(release, options.cloud, options.points)
+        self._normals = CloudNormals(release, options.points) if options.normals else None
         self.pair = None
         if "mirror" in options.augment:
             from bidexdata.hands.tree_file import hand_of_release
@@ -129,6 +131,12 @@ class Assembly:
         if in_world:
             pos, quat = (found[n][shared] for n in POSE_OF_OBJECT)
             points = points_in_world(pos, quat, points)
+        if self._normals is not None:
+            normals = self._normals.of(objects[shared])
+            if in_world:
+                quat = found["object_quat_wxyz"][shared]
+                normals = points_in_world(np.zeros((len(quat), 3)), quat, normals)
+            out["cloud_normal"] = normals
         return {str(options.cloud): points, **out}
 
     def _augmented(
@@ -157,7 +165,8 @@ class Assembly:
             if "point_index" in extra:
                 first = np.unique(extra["point_index"], return_index=True)[1]
             moved = np.swapaxes(total[first], 1, 2).astype(np.float32)
-            extra = {**extra, options.cloud: extra[options.cloud] @ moved}
+            moving = [n for n in (options.cloud, "cloud_normal") if n in extra]
+            extra = {**extra, **{n: extra[n] @ moved for n in moving}}
         return kept, extra
 
 

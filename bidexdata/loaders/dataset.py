@@ -60,6 +60,7 @@ class BiDexDataset:
         frame: str = "object",
         cloud: str | None = "cloud_solid",
         points: int = 1024,
+        normals: bool = False,
         configuration: str = "selected",
         clouds: str = "expand",
         quat_order: str = "wxyz",
@@ -82,6 +83,7 @@ class BiDexDataset:
             cloud: `cloud_solid`, `cloud_mesh` or None.
             points: Points per cloud, the first of the stored farthest-point order.
             configuration: `selected` or `audit`.
+            normals: Give the outward normals at the points of `cloud_solid` too: `cloud_normal`.
             clouds: `expand` gives every grasp its cloud; `unique` gives each cloud of a batch once,
                 and `point_index` says which is each grasp's (`expand_clouds` expands).
             quat_order: `wxyz` or `xyzw`; keys end in the order, as `hand_quat_xyzw`.
@@ -111,6 +113,7 @@ class BiDexDataset:
             frame=frame,
             cloud=cloud,
             points=points,
+            normals=normals,
             clouds=clouds,
             quat_order=quat_order,
             rotation=rotation,

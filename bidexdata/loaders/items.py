@@ -24,6 +24,8 @@ class GraspItem(TypedDict):
     """Points on the simulated solid [m], (P, 3)."""
     cloud_mesh: Tensor
     """Points on the repaired mesh [m], (P, 3)."""
+    cloud_normal: Tensor
+    """With `normals=True`: outward unit normals at the points of `cloud_solid`, (P, 3)."""
     point_index: Tensor
     """Batches with `clouds="unique"`: the cloud of each grasp, int64."""
     mirrored: Tensor

@@ -8,6 +8,7 @@ from importlib.util import find_spec
 
 from bidexdata.errors import BadConfig, MissingExtra, UnknownName
 from bidexdata.formats.clouds import CLOUDS
+from bidexdata.loaders.normals import OF_CLOUD
 
 DEFAULT_FIELDS = ("hand_pos", "hand_quat_wxyz", "joints", "size_mm", "size")
 POSE_OF_OBJECT = ("object_pos", "object_quat_wxyz")
@@ -29,6 +30,7 @@ class ItemOptions:
     frame: str = "object"
     cloud: str | None = "cloud_solid"
     points: int = 1024
+    normals: bool = False
     clouds: str = "expand"
     quat_order: str = "wxyz"
     rotation: str = "quat"
@@ -45,6 +47,8 @@ class ItemOptions:
                 raise UnknownName("augmentation", str(name), AUGMENTATIONS)
         if self.cloud is not None and self.cloud not in CLOUDS:
             raise UnknownName("cloud", str(self.cloud), CLOUDS)
+        if self.normals and self.cloud != OF_CLOUD:
+            raise BadConfig(f"normals are those of {OF_CLOUD}, and cloud={self.cloud!r}")
         if self.points < 1:
             raise BadConfig(f"points={self.points}; a cloud has at least one")
         if self.rotation != "quat" and self.quat_order != "wxyz":

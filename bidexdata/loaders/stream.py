@@ -87,7 +87,7 @@ class BiDexStream(IterableDataset[dict[str, Any]]):
             seed: Seed of the order and of the augmentation.
             rank: Number of this process.
             world_size: Number of processes.
-            options: `frame`, `cloud`, `points`, `clouds`, `quat_order`, `rotation`, `augment`, as
+            options: `frame`, `cloud`, `points`, `normals`, `clouds`, `quat_order`, `rotation`, `augment`, as
                 for `BiDexDataset`.
 
         Raises:

@@ -185,7 +185,7 @@ class RunSource:
 
     def categories(self) -> tuple[str, ...]:
         """As the run's library has them; a run that tests a release anew names none."""
-        if self.run.spec.kind == "release":
+        if self.run.spec.of_release:
             return ("",) * len(self.object_ids)
         return _categories(self.run.library, self.object_ids)
 

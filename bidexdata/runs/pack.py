@@ -257,6 +257,11 @@ def _named(runs: Sequence[Run]) -> list[NamedRun]:
         twice = next(f for f in folders if folders.count(f) > 1)
         raise NotUsable(f"{twice} is named twice; pack every run once")
     for run in runs:
+        if run.spec.kind == "generated" and run.spec.of_release:
+            raise NotUsable(
+                f"{run.path} holds grasps of a release's objects, and packing needs the library "
+                "they come from; create the run with that as its source"
+            )
         if run.spec.kind == "release":
             raise NotUsable(f"{run.path} re-tests a release; it holds no rows of its own to pack")
     seen: Counter[str] = Counter()

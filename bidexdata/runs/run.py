@@ -1,6 +1,6 @@
 """Run: a folder of grasps in the making; what it is, how far it is, and its rows.
 
-Layout: run.json, tasks.parquet, `synth/` (or `import/`) shards with all columns so far,
+Layout: run.json, tasks.parquet, `synth/` (or `import/`, `generated/`) shards with all columns so far,
 `validate/<protocol>/<test>/` shards with `grasp_id` and verdict columns beside the protocol's
 settings in `validate/<protocol>/protocol.json`, `arms/<rig>/` shards with `grasp_id` and the arms'
 motion beside `rig.json`, `logs/`. Rows of later stages have the order of the first stage's; reading
@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -65,7 +65,7 @@ PROTOCOL_FILE = "protocol.json"
 
 @dataclass(frozen=True)
 class Run:
-    """A run folder, opened; make it with `Run.open`."""
+    """A run folder, opened; made by `Run.open`, or by `Run.create` from grasps that one has."""
 
     path: Path
     spec: RunSpec
@@ -122,6 +122,44 @@ class Run:
             self._chosen["rig"] = found
         return self.asked_rig or self._chosen["rig"]
 
+    @classmethod
+    def create(
+        cls,
+        path: str | Path,
+        rows: GraspBatch | Mapping[str, np.ndarray],
+        *,
+        source: str | Path,
+        hand: str = "shadow",
+        about: Mapping[str, Any] | None = None,
+        seed: int = 0,
+    ) -> Run:
+        """Write grasps that a caller has as a run: `validate`, `view`, `render` and `pack` take it.
+
+        Ids, sizes and statuses are filled in. Rows whose joints at the pre-grasp or the grasp are
+        out of range have the status `joint_range` and no pose.
+
+        Args:
+            path: The run's folder; must not exist, or be empty.
+            rows: `scene_id`, (N) text; `object_pos` (N, 3) [m] and `object_quat_wxyz` (N, 4);
+                `hand_pos` (N, H, S, 3) [m], `hand_quat_wxyz` (N, H, S, 4) and `joints` (N, H, S, J)
+                [rad], padded as everywhere. `size` (N) [m] where it has no whole millimetres.
+                Poses are in the world frame; on a table its surface is z = 0 and the object's
+                origin lies at x = y = 0.
+            source: Library or release that holds the objects. Only runs of a library can be packed.
+            hand: Name of the hand, or LEFT,RIGHT.
+            about: Plain data of what made the poses; part of the run's identity.
+            seed: Seed that they were drawn with; information only.
+
+        Raises:
+            BadConfig: A column is missing, has the wrong shape, or a pose is not finite.
+            NotUsable: `path` holds something, or scenes of several settings are mixed.
+            PathNotFound: There is no library or release at `source`.
+            UnknownName: There is no such hand or object.
+        """
+        from bidexdata.runs.generated import write_generated
+
+        return write_generated(path, rows, source=source, hand=hand, about=about, seed=seed)
+
     @property
     def fingerprint(self) -> str:
         """Hash of the configuration, hands, library and seed that made the run."""
@@ -163,7 +201,7 @@ class Run:
             PathNotFound: The library, or the release that is re-tested, is not where run.json says.
             SourceChanged: It is there and holds something else.
         """
-        if self.spec.kind != "release":
+        if not self.spec.of_release:
             _ = self.library
             return
         from bidexdata.formats.manifest import sha256_of
@@ -176,7 +214,7 @@ class Run:
 
     def load_solid(self, object_id: str) -> Solid:
         """Load an object of the run from its library (or from the release it re-tests)."""
-        if self.spec.kind == "release":
+        if self.spec.of_release:
             from bidexdata.formats.release import Release
 
             return Release.open(self._source()).load_solid(object_id)
@@ -219,11 +257,9 @@ class Run:
     def stage_folder(self, stage: str, protocol: str = "", test: str = "") -> Path:
         """Folder of a stage's shards: `rows`, `arms`, or `validate` with a protocol and a test."""
         if stage == "validate":
-            rig = self.rig if test in WITH_ARMS else ""
-            return self.path / stage / protocol / verdict_folder_name(test, rig)
-        if stage == "arms":
-            return self.arms_folder()
-        return self.path / ("synth" if self.spec.kind == "synth" else "import")
+            return self.path / stage / protocol / test
+        own = self.spec.kind if self.spec.kind in ("synth", "generated") else "import"
+        return self.path / own
 
     def arms_folder(self) -> Path:
         """Folder of the arm solutions of the rig that is meant.
@@ -403,7 +439,7 @@ class Run:
     def _source(self) -> Path:
         path = (self.path / self.spec.source).resolve()
         if not path.is_dir():
-            wanted = "the release" if self.spec.kind == "release" else "the library"
+            wanted = "the release" if self.spec.of_release else "the library"
             raise PathNotFound(path, f"{wanted} that {self.path / RUN_FILE} names")
         return path
 

@@ -26,8 +26,9 @@ from bidexdata.synthesis.method_names import DEFAULT_METHOD
 class RunSpec:
     """The contents of run.json."""
 
-    kind: Literal["synth", "import", "release"] = "synth"
-    """Where the rows come from: made here, imported from another format, or a release's."""
+    kind: Literal["synth", "import", "release", "generated"] = "synth"
+    """Where the rows come from: made here, imported from another format, a release's, or given by
+    a caller (`Run.create`)."""
     method: str = ""
     """Of the synthesis; empty in imports, and in runs of earlier versions, whose method is the
     default one."""
@@ -44,7 +45,7 @@ class RunSpec:
     without_scene: tuple[str, ...] = ()
     """Objects that no scene could be made of: on a table, those without a rest pose."""
     source: str = ""
-    """The library's (or, for kind `release`, the release's) path relative to the run."""
+    """The library's (or, where the objects are a release's, the release's) path relative to the run."""
     source_fingerprint: str = ""
     seed: int = 0
     rounds: tuple[Round, ...] = ()
@@ -52,6 +53,12 @@ class RunSpec:
     versions: Mapping[str, str] = field(default_factory=dict)
     """Of the packages that started the run; information only. Each shard says its own."""
     schema_version: str = SCHEMA_VERSION
+
+    @property
+    def of_release(self) -> bool:
+        """Whether the objects are a release's, and not a library's."""
+        made = self.kind == "generated" and self.config.get("objects") == "release"
+        return self.kind == "release" or made
 
     @property
     def grasps(self) -> int | None:

@@ -1,0 +1,111 @@
+"""Grasps from a trained model: clouds in, poses of both hands at all stages out."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from bidexgrasp_model.checkpoint import HandId
+from bidexgrasp_model.choosing import draw_views
+from bidexgrasp_model.diffusion import draw
+from bidexgrasp_model.model import GenerationModel, Scenes
+from bidexgrasp_model.rotations import quat_from_matrix
+from bidexgrasp_model.state import SQUEEZE, Poses, decode
+from bidexgrasp_model.tables import tables_of
+
+_AT_ONCE = 16
+"""Clouds that are encoded together."""
+
+
+class Samples(NamedTuple):
+    """n grasps."""
+
+    cloud: Int[Tensor, " n"]
+    """Which cloud each is of."""
+    view: Int[Tensor, "n 2"]
+    """Views that they were conditioned on."""
+    poses: Poses
+
+
+@torch.inference_mode()
+def sample(
+    model: GenerationModel,
+    clouds: Float[Tensor, "B P 3"],
+    grasps: int,
+    hands: HandId,
+    generator: torch.Generator | None = None,
+) -> Samples:
+    """Make grasps of some clouds.
+
+    Args:
+        model: Ready to sample, as `Checkpoint.model` gives it.
+        clouds: World frame, z up, in farthest-point order [m].
+        grasps: Of each cloud.
+        hands: Limits of the joints.
+        generator: Of views and noise.
+
+    Returns:
+        The grasps, those of a cloud behind each other.
+    """
+    parts = [
+        _sample_some(model, clouds[low : low + _AT_ONCE], grasps, hands, generator)
+        for low in range(0, len(clouds), _AT_ONCE)
+    ]
+    numbers = torch.arange(len(clouds)).repeat_interleave(grasps)
+    views = torch.cat([p.view for p in parts])
+    poses = Poses(*(torch.cat(columns) for columns in zip(*(p.poses for p in parts), strict=True)))
+    return Samples(numbers, views, poses)
+
+
+def _sample_some(
+    model: GenerationModel,
+    clouds: Float[Tensor, "B P 3"],
+    grasps: int,
+    hands: HandId,
+    generator: torch.Generator | None,
+) -> Samples:
+    config = model.config
+    scenes = Scenes.of(clouds, tables_of(clouds, config.model))
+    seen = model.see(scenes)
+    cloud = torch.arange(len(clouds), device=clouds.device).repeat_interleave(grasps)
+    view = torch.zeros(len(cloud), 2, dtype=torch.long, device=clouds.device)
+    if seen.scores is not None:
+        view = draw_views(
+            seen.scores, cloud, config.model.coordination, config.diffusion, generator
+        )
+    conditions = model.conditions(scenes, seen, cloud, view)
+    start = torch.randn((len(cloud), 2, model.layout.width), generator=generator).to(clouds)
+
+    def predict(state: Tensor, t: Tensor) -> Tensor:
+        return model(state, t, conditions)
+
+    state = model.scale.restored(draw(predict, start, config.diffusion, generator))
+    poses = decode(state, conditions.anchor, model.layout)
+    return Samples(cloud, view, within_limits(poses, hands))
+
+
+def within_limits(poses: Poses, hands: HandId) -> Poses:
+    """Set joints to their ranges; the squeeze is a command and may ask for more."""
+    joints = poses.joints.clone()
+    for h in range(2):
+        low = joints.new_tensor(hands.lower[h])
+        high = joints.new_tensor(hands.upper[h])
+        held = joints[..., h, :SQUEEZE, : len(low)]
+        joints[..., h, :SQUEEZE, : len(low)] = torch.minimum(torch.maximum(held, low), high)
+    return poses._replace(joints=joints)
+
+
+def run_columns(poses: Poses, hands: HandId) -> dict[str, np.ndarray]:
+    """The columns of the record that hold poses; joints that a hand lacks are NaN."""
+    joints = poses.joints.clone()
+    for h, names in enumerate(hands.joint_names):
+        joints[:, h, :, len(names) :] = float("nan")
+    return {
+        "hand_pos": poses.pos.float().cpu().numpy(),
+        "hand_quat_wxyz": quat_from_matrix(poses.rot.double()).float().cpu().numpy(),
+        "joints": joints.float().cpu().numpy(),
+    }
