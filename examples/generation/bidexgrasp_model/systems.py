@@ -1,0 +1,143 @@
+"""What is judged: models, the transfer from the nearest object, and the synthesis itself."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from bidexdata import Release, Run
+
+from bidexgrasp_model.checkpoint import Checkpoint
+from bidexgrasp_model.config import with_settings
+from bidexgrasp_model.places import Place, depth_clouds, release_clouds
+from bidexgrasp_model.sampling import Samples, run_columns, sample
+from bidexgrasp_model.transfer import known_cases, transfer
+
+FULL = "BCM + GAF + SAGA"
+DDPM = "plain DDPM"
+DIRECT = "BCM + GAF + SAGA, pairs drawn at once"
+TRANSFER = "nearest-object transfer"
+SYNTHESIS = "synthesis"
+
+
+@dataclass(frozen=True, slots=True)
+class System:
+    """Something that makes grasps of the test objects."""
+
+    name: str
+    kind: Literal["model", "transfer", "synthesis"]
+    checkpoint: Path | None = None
+    """Of a model; for the transfer, whose settings say how clouds are read."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Changed for sampling alone, such as `model.coordination`."""
+
+    @property
+    def slug(self) -> str:
+        """Name of its folder."""
+        return "".join(c if c.isalnum() else "-" for c in self.name.lower()).strip("-")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """The scenes, and how many grasps of each."""
+
+    release: Path
+    places: tuple[Place, ...]
+    samples: int = 3
+    seed: int = 0
+    single_view: bool = False
+
+
+def make_run(system: System, task: Task, out: Path) -> Run:
+    """Write the grasps of a system as a run, or open the one that is there.
+
+    Raises:
+        ValueError: `out` holds a run of another checkpoint or task.
+    """
+    mark = _mark(system, task)
+    if (out / "run.json").is_file():
+        run = Run.open(out)
+        if run.spec.config["about"].get("mark") != mark:
+            raise ValueError(f"{out} holds grasps of another checkpoint or task; choose another --out")
+        return run
+    assert system.checkpoint is not None
+    checkpoint = Checkpoint.load(system.checkpoint)
+    release = Release.open(task.release)
+    if system.kind == "transfer":
+        found = _transferred(checkpoint, task, release)
+    else:
+        found = _sampled(checkpoint, system, task, release)
+    columns = run_columns(found.poses, checkpoint.hands)
+    places = [task.places[b] for b in found.cloud.tolist()]
+    about = {"system": system.name, "mark": mark, "release": dataclasses.asdict(checkpoint.release)}
+    return Run.create(
+        out,
+        {**columns, **scene_columns(places)},
+        source=task.release,
+        hand=",".join(dict.fromkeys(checkpoint.hands.names)),
+        about=about,
+        seed=task.seed,
+    )
+
+
+def scene_columns(places: Sequence[Place]) -> dict[str, np.ndarray]:
+    """The columns of the record that say where the object is."""
+    return {
+        "scene_id": np.array([p.scene_id for p in places], np.str_),
+        "object_pos": np.array([p.pos for p in places], np.float32),
+        "object_quat_wxyz": np.array([p.quat_wxyz for p in places], np.float32),
+    }
+
+
+def seconds_per_batch(checkpoint: Path, release: Path, places: Sequence[Place], repeats: int = 5) -> float:
+    """Median time of sampling 64 grasps of one cloud on this machine [s]."""
+    found = Checkpoint.load(checkpoint)
+    model = found.model()
+    clouds = release_clouds(Release.open(release), places[:1], found.config.model.points)
+    times = []
+    for k in range(repeats + 1):
+        start = time.perf_counter()
+        sample(model, clouds, 64, found.hands, torch.Generator().manual_seed(k))
+        times.append(time.perf_counter() - start)
+    return float(np.median(times[1:]))
+
+
+def _sampled(checkpoint: Checkpoint, system: System, task: Task, release: Release) -> Samples:
+    model = checkpoint.model()
+    model.config = with_settings(checkpoint.config, system.settings)
+    points = checkpoint.config.model.points
+    if task.single_view:
+        rng = np.random.default_rng(task.seed)
+        clouds = depth_clouds(release, task.places, points, rng)
+    else:
+        clouds = release_clouds(release, task.places, points)
+    generator = torch.Generator().manual_seed(task.seed)
+    return sample(model, clouds, task.samples, checkpoint.hands, generator)
+
+
+def _transferred(checkpoint: Checkpoint, task: Task, release: Release) -> Samples:
+    config = checkpoint.config
+    known = known_cases(task.release, config, checkpoint.where)
+    clouds = release_clouds(release, task.places, config.model.points)
+    sizes = [round(1000 * p.size) for p in task.places]
+    return transfer(known, clouds, sizes, task.samples, config, checkpoint.hands.joints)
+
+
+def _mark(system: System, task: Task) -> str:
+    """Hash of what decides the grasps."""
+    digest = hashlib.sha256()
+    if system.checkpoint is not None and system.kind == "model":
+        path = system.checkpoint
+        path = path / "checkpoint.pt" if path.is_dir() else path
+        digest.update(path.read_bytes())
+    digest.update(repr((system.kind, sorted(system.settings.items()))).encode())
+    digest.update(repr((task.places, task.samples, task.seed, task.single_view)).encode())
+    digest.update((task.release / "manifest.json").read_bytes())
+    return digest.hexdigest()[:16]
