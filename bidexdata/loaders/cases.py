@@ -11,7 +11,16 @@ import numpy as np
 from bidexdata.errors import BadConfig
 from bidexdata.loaders.dataset import BiDexDataset
 
-_OF_CASE = ("object_index", "size_mm", "size", "setting", "object_id", "scene_id", "mirrored", "cloud_normal")
+_OF_CASE = (
+    "object_index",
+    "size_mm",
+    "size",
+    "setting",
+    "object_id",
+    "scene_id",
+    "mirrored",
+    "cloud_normal",
+)
 _POSE = ("object_pos", "object_quat_wxyz", "object_quat_xyzw", "object_rot6d", "object_matrix")
 
 

@@ -207,7 +207,9 @@ def _batch(given: Mapping[str, np.ndarray], hands: Sequence[Hand], run: Run) -> 
     made["selected"][:], made["audit"][:] = possible, ~possible
     made["synth_status"][:] = np.where(possible, Status.OK, Status.JOINT_RANGE)
     for name in ("hand_pos", "hand_quat_wxyz", "joints"):
-        made[name] = np.where(possible.reshape(-1, *[1] * (made[name].ndim - 1)), made[name], np.nan)
+        made[name] = np.where(
+            possible.reshape(-1, *[1] * (made[name].ndim - 1)), made[name], np.nan
+        )
     return GraspBatch(header, made)
 
 

@@ -45,9 +45,7 @@ def ablate(
     systems.append(System(DIRECT, "model", full, {"model.coordination": "direct"}))
     systems.append(System(TRANSFER, "transfer", full))
     systems.append(System(SYNTHESIS, "synthesis"))
-    return evaluate(
-        dataclasses.replace(evaluation, systems=tuple(systems), reference=FULL), say
-    )
+    return evaluate(dataclasses.replace(evaluation, systems=tuple(systems), reference=FULL), say)
 
 
 def row_request(

@@ -35,7 +35,7 @@ def grasp_anchor(
 
 
 def anchor_axes(view: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 3 3"]:
-    """x to the centre, z the world's z across x, y = z cross x.
+    """X to the centre, z the world's z across x, y = z cross x.
 
     Where the view is vertical the world's x takes the place of its z: the paper leaves that open.
 

@@ -67,7 +67,9 @@ def train(
     made = Trainer.start(request, ranks).run()
     ranks.close()
     if ranks.first:
-        typer.echo(f"{out}: {made.step} steps in {made.seconds / 60:.1f} min, {len(made.weights)} tensors")
+        typer.echo(
+            f"{out}: {made.step} steps in {made.seconds / 60:.1f} min, {len(made.weights)} tensors"
+        )
         typer.echo(f"next: bidexgrasp-model sample MESH --checkpoint {out} --out RUN")
 
 
@@ -79,7 +81,9 @@ def sample(
     sizes: Annotated[str, typer.Option(help="Diagonals that a mesh is scaled to [m].")] = "0.5",
     grasps: Annotated[int, typer.Option(min=1, help="Grasps of each scene.")] = 64,
     rest_poses: Annotated[int, typer.Option(min=1, help="Rest poses on the table.")] = 1,
-    single_view: Annotated[bool, typer.Option("--single-view", help="See it from one side.")] = False,
+    single_view: Annotated[
+        bool, typer.Option("--single-view", help="See it from one side.")
+    ] = False,
     seed: Seed = 0,
     device: Device = "cpu",
     threads: Threads = 0,

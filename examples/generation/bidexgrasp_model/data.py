@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from bidexdata import Release
-from bidexdata.loaders import BiDexCases, collate_cases
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from bidexdata import Release
+from bidexdata.loaders import BiDexCases, collate_cases
 from bidexgrasp_model.config import Config
 from bidexgrasp_model.rotations import matrix_from_quat
 from bidexgrasp_model.single_view import seen_points
@@ -44,13 +44,17 @@ class CaseBatch(NamedTuple):
 
     def to(self, device: torch.device) -> CaseBatch:
         """On another device."""
-        moved = [
-            v.to(device)
-            if isinstance(v, (Tensor, Tables))
-            else Poses(*(p.to(device) for p in v))
-            for v in self
-        ]
-        return CaseBatch(*moved)
+        return CaseBatch(
+            self.clouds.to(device),
+            self.solid.to(device),
+            self.normals.to(device),
+            self.tables.to(device),
+            self.case.to(device),
+            Poses(*(part.to(device) for part in self.poses)),
+            self.view.to(device),
+            self.y.to(device),
+            self.y_bi.to(device),
+        )
 
 
 @dataclass(frozen=True, slots=True)

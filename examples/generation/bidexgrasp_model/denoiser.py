@@ -30,11 +30,14 @@ class Block(nn.Module):
         super().__init__()
         D = config.width
         self.heads = config.heads
-        self.norms = nn.ModuleList(nn.LayerNorm(D, elementwise_affine=False) for _ in range(3))
         self.shift = nn.Linear(D, 6 * D)
         self.both, self.both_out = nn.Linear(D, 3 * D), nn.Linear(D, D)
         self.query, self.seen_out = nn.Linear(D, D), nn.Linear(D, D)
-        self.shared, self.place, self.own = nn.Linear(D, 2 * D), nn.Linear(27, 2 * D), nn.Linear(D, 2 * D)
+        self.shared, self.place, self.own = (
+            nn.Linear(D, 2 * D),
+            nn.Linear(27, 2 * D),
+            nn.Linear(D, 2 * D),
+        )
         self.think = pointwise((D, 2 * D, D))
 
     def keys(self, memory: Memory, frames: Frames) -> Keys:
@@ -54,7 +57,8 @@ class Block(nn.Module):
         scale = self.shift(setting).chunk(6, dim=-1)
 
         def norm(k: int) -> Tensor:
-            return self.norms[k](hands) * (1 + scale[2 * k]) + scale[2 * k + 1]
+            plain = nn.functional.layer_norm(hands, hands.shape[-1:])
+            return plain * (1 + scale[2 * k]) + scale[2 * k + 1]
 
         hands = hands + self.both_out(attend(*self.both(norm(0)).chunk(3, dim=-1), self.heads))
         query = slots.padded(self.query(norm(1)).flatten(0, 1))
@@ -124,8 +128,8 @@ def time_waves(t: Float[Tensor, " n"]) -> Float[Tensor, "n 64"]:
 def situation(
     frames: Frames,
     index: Int[Tensor, "n 2"],
-    radius: Float[Tensor, "B"],
-    height: Float[Tensor, "B"],
+    radius: Float[Tensor, " B"],
+    height: Float[Tensor, " B"],
 ) -> Float[Tensor, "n 2 S"]:
     """Where each hand's anchor stands, and where the other hand's is from there.
 

@@ -6,6 +6,7 @@ losses of the paper act on x0, and at little noise the state itself is nearly th
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import torch
@@ -35,8 +36,8 @@ def shares(config: DiffusionConfig) -> Float[Tensor, " T1"]:
 
 
 def noisy(
-    x0: Float[Tensor, "n *d"], noise: Float[Tensor, "n *d"], share: Float[Tensor, " n"]
-) -> Float[Tensor, "n *d"]:
+    x0: Float[Tensor, "n ..."], noise: Float[Tensor, "n ..."], share: Float[Tensor, " n"]
+) -> Float[Tensor, "n ..."]:
     """x_t = sqrt(a) x0 + sqrt(1 - a) noise.
 
     Source:
@@ -47,8 +48,8 @@ def noisy(
 
 
 def clean(
-    xt: Float[Tensor, "n *d"], v: Float[Tensor, "n *d"], share: Float[Tensor, " n"]
-) -> Float[Tensor, "n *d"]:
+    xt: Float[Tensor, "n ..."], v: Float[Tensor, "n ..."], share: Float[Tensor, " n"]
+) -> Float[Tensor, "n ..."]:
     """x0 = sqrt(a) x_t - sqrt(1 - a) v.
 
     Source:
@@ -59,12 +60,12 @@ def clean(
 
 
 def ddpm_step(
-    xt: Float[Tensor, "n *d"],
-    x0: Float[Tensor, "n *d"],
+    xt: Float[Tensor, "n ..."],
+    x0: Float[Tensor, "n ..."],
     share: Float[Tensor, ""],
     before: Float[Tensor, ""],
-    noise: Float[Tensor, "n *d"],
-) -> Float[Tensor, "n *d"]:
+    noise: Float[Tensor, "n ..."],
+) -> Float[Tensor, "n ..."]:
     """Draw x_(t-1) given x_t and x0.
 
     Args:
@@ -83,11 +84,11 @@ def ddpm_step(
 
 
 def ddim_step(
-    xt: Float[Tensor, "n *d"],
-    x0: Float[Tensor, "n *d"],
+    xt: Float[Tensor, "n ..."],
+    x0: Float[Tensor, "n ..."],
     share: Float[Tensor, ""],
     before: Float[Tensor, ""],
-) -> Float[Tensor, "n *d"]:
+) -> Float[Tensor, "n ..."]:
     """Go to an earlier level without noise.
 
     Source:
@@ -99,10 +100,10 @@ def ddim_step(
 
 def draw(
     predict: Predict,
-    start: Float[Tensor, "n *d"],
+    start: Float[Tensor, "n ..."],
     config: DiffusionConfig,
     generator: torch.Generator | None = None,
-) -> Float[Tensor, "n *d"]:
+) -> Float[Tensor, "n ..."]:
     """Take the noise away, from level T to 0.
 
     Args:
@@ -114,7 +115,7 @@ def draw(
     a = shares(config).to(start.device)
     levels = _levels(config)
     x = start
-    for t, earlier in zip(levels[:-1], levels[1:], strict=True):
+    for t, earlier in itertools.pairwise(levels):
         level = torch.full((len(x),), t, dtype=torch.long, device=x.device)
         x0 = clean(x, predict(x, level), a[level])
         if config.sampler == "ddim":

@@ -46,7 +46,7 @@ class Encoder(nn.Module):
         self,
         cloud: Float[Tensor, "B P 3"],
         centre: Float[Tensor, "B 3"],
-        radius: Float[Tensor, "B"],
+        radius: Float[Tensor, " B"],
         tables: Tables,
     ) -> Features:
         """Encode clouds.

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from bidexdata import Release, TaskExecution, load_protocol, validate_run
 
+from bidexdata import Release, TaskExecution, load_protocol, validate_run
 from bidexgrasp_model.checkpoint import Checkpoint
 from bidexgrasp_model.data import Cases
 from bidexgrasp_model.judging import PROTOCOL, Judged, figures, judged_run, judged_split, paired
@@ -146,7 +146,10 @@ def view_hits(checkpoint: Checkpoint, release: Path, most: int = 128) -> dict[st
 def write(out: Path, found: dict[str, Any], text: str) -> None:
     """Write both files, each whole or not at all."""
     out.mkdir(parents=True, exist_ok=True)
-    for name, content in (("results.json", json.dumps(found, indent=1) + "\n"), ("results.md", text)):
+    for name, content in (
+        ("results.json", json.dumps(found, indent=1) + "\n"),
+        ("results.md", text),
+    ):
         partial = out / f".{name}.{os.getpid()}"
         partial.write_text(content, encoding="utf-8")
         os.replace(partial, out / name)
@@ -154,7 +157,9 @@ def write(out: Path, found: dict[str, Any], text: str) -> None:
 
 def _judge(system: System, task: Task, request: EvalRequest) -> Judged:
     if system.kind == "synthesis":
-        stored = tuple(t for t in request.tests if (PROTOCOL, t) in Release.open(task.release).protocols)
+        stored = tuple(
+            t for t in request.tests if (PROTOCOL, t) in Release.open(task.release).protocols
+        )
         found = judged_split(task.release, "test", stored)
         kept = {p.scene_id for p in task.places}
         return found.select([scene in kept for scene in found.scene_id])  # type: ignore[arg-type]

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from bidexdata import HandModel
 from jaxtyping import Float, Int
 from torch import Tensor
+
+from bidexdata import HandModel
 
 SIDES = ("left", "right")
 
@@ -36,9 +37,9 @@ class HandShapes(torch.nn.Module):
             surface_points: Per hand.
         """
         super().__init__()
-        self.models = torch.nn.ModuleList(
+        self.models = [
             HandModel.from_release(release, side, surface_points=surface_points) for side in SIDES
-        )
+        ]
         hands = [model.hand for model in self.models]
         self.counts = [len(hand.joint_names) for hand in hands]
         pairs, least = _pairs(hands)

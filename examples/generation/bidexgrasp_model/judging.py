@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from bidexdata import BiDexDataset, Run, object_interval
 from bidexdata.loaders import collate
-
 from bidexgrasp_model.rotations import matrix_from_quat, six_from_matrix
 from bidexgrasp_model.state import GRASP
 

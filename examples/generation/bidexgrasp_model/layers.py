@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import torch
@@ -12,14 +13,16 @@ from torch import Tensor, nn
 def pointwise(widths: Sequence[int]) -> nn.Sequential:
     """A network applied to each point: linear layers with GELU between them."""
     layers: list[nn.Module] = []
-    for k, (a, b) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
+    for k, (a, b) in enumerate(itertools.pairwise(widths)):
         if k:
             layers.append(nn.GELU())
         layers.append(nn.Linear(a, b))
     return nn.Sequential(*layers)
 
 
-def gathered(values: Float[Tensor, "B P C"], index: Int[Tensor, "B A N"]) -> Float[Tensor, "B A N C"]:
+def gathered(
+    values: Float[Tensor, "B P C"], index: Int[Tensor, "B A N"]
+) -> Float[Tensor, "B A N C"]:
     """Values of the points of groups."""
     B, A, N = index.shape
     flat = index.reshape(B, A * N, 1).expand(-1, -1, values.shape[-1])

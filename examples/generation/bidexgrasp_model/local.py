@@ -19,9 +19,9 @@ from bidexgrasp_model.tables import Tables, nearest
 class Frames(NamedTuple):
     """Anchors that grasps of a batch use: each cloud and view once. Leading axis F."""
 
-    cloud: Int[Tensor, "F"]
+    cloud: Int[Tensor, " F"]
     """Which cloud."""
-    view: Int[Tensor, "F"]
+    view: Int[Tensor, " F"]
     """Which view."""
     anchor: Anchor
     """The frame that poses are relative to."""

@@ -28,7 +28,7 @@ class Scenes(NamedTuple):
     """Relative to the spheres' centres [m], world axes, in farthest-point order."""
     centre: Float[Tensor, "B 3"]
     """Of the minimum bounding spheres [m], world."""
-    radius: Float[Tensor, "B"]
+    radius: Float[Tensor, " B"]
     """[m]."""
     tables: Tables
 
@@ -139,7 +139,7 @@ class GenerationModel(nn.Module):
         )
 
     def frames(
-        self, radius: Float[Tensor, "B"], cloud: Int[Tensor, "F"], view: Int[Tensor, "F"]
+        self, radius: Float[Tensor, " B"], cloud: Int[Tensor, " F"], view: Int[Tensor, " F"]
     ) -> Frames:
         """Anchors of views, relative to the spheres' centres."""
         direction = self.views[view]

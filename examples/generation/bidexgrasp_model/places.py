@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from bidexdata import Library, Release
 from jaxtyping import Float
 from torch import Tensor
 
+from bidexdata import Library, Release
 from bidexgrasp_model.rotations import matrix_from_quat
 from bidexgrasp_model.single_view import depth_cloud, draw_camera
 from bidexgrasp_model.tables import farthest_order
@@ -69,8 +69,10 @@ def places_of_object(
     for mm in sizes_mm:
         for k in range(min(rest_poses, len(solid.rest_heights))):
             pos = (0.0, 0.0, float(solid.rest_heights[k]) * mm / 1000)
-            quat = tuple(float(q) for q in solid.rest_quats_wxyz[k])
-            found.append(Place(f"{object_id}/{mm}/table{k}", object_id, mm / 1000, pos, quat))
+            w, x, y, z = (float(q) for q in solid.rest_quats_wxyz[k])
+            found.append(
+                Place(f"{object_id}/{mm}/table{k}", object_id, mm / 1000, pos, (w, x, y, z))
+            )
     return found
 
 

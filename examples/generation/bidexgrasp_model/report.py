@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -56,17 +57,31 @@ def _models(systems: Mapping[str, Row]) -> list[str]:
     models = {n: r for n, r in systems.items() if "steps" in r}
     if not models:
         return []
-    head = ["model", "steps", "min", "parameters", "64 grasps s", "right top 1 / 5 %", "left top 5 %"]
+    head = [
+        "model",
+        "steps",
+        "min",
+        "parameters",
+        "64 grasps s",
+        "right top 1 / 5 %",
+        "left top 5 %",
+    ]
     rows = [head, ["---"] * len(head)]
     for name, row in models.items():
         views = row["views"]
-        right = f"{views['right_top1']:.0%} / {views['right_top5']:.0%}".replace("%", "") if views else "-"
+        right = (
+            f"{views['right_top1']:.0%} / {views['right_top5']:.0%}".replace("%", "")
+            if views
+            else "-"
+        )
         left = f"{100 * views['left_top5']:.0f}" if views else "-"
         cells = [name, str(row["steps"]), f"{row['training_minutes']:.1f}"]
         cells += [f"{row['parameters'] / 1e6:.2f} M", f"{row['seconds_per_64']:.2f}", right, left]
         rows.append(cells)
     paper = next(iter(models.values()))["paper_seconds_per_64"]
-    note = f"The paper: {paper} s for 64 grasps on an RTX 4090. A uniform guess is right 6 and 31 %."
+    note = (
+        f"The paper: {paper} s for 64 grasps on an RTX 4090. A uniform guess is right 6 and 31 %."
+    )
     return [*(f"| {' | '.join(row)} |" for row in rows), "", note, ""]
 
 
@@ -88,7 +103,7 @@ def _sentences(found: Mapping[str, Any]) -> list[str]:
     present = [n for n in PAPER_ORDER if n in systems]
     if len(present) == len(PAPER_ORDER):
         rates = [systems[n][f"suc_{test}"]["mean"] for n in PAPER_ORDER]
-        same = all(a < b for a, b in zip(rates[:-1], rates[1:], strict=True))
+        same = all(a < b for a, b in itertools.pairwise(rates))
         lines.append(
             f"- the paper's order of its ablation rows ({' < '.join(PAPER_ORDER)}) "
             f"{'appears' if same else 'does not appear'} here"

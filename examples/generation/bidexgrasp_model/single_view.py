@@ -17,9 +17,7 @@ _PIXELS = 120
 """Side of a depth image. Ours: about 4 mm per pixel on an object of 0.5 m."""
 
 
-def draw_camera(
-    centre: Float[np.ndarray, "3"], rng: np.random.Generator
-) -> Float[np.ndarray, "3"]:
+def draw_camera(centre: Float[np.ndarray, 3], rng: np.random.Generator) -> Float[np.ndarray, 3]:
     """A camera position around an object on a table [m]."""
     turn = rng.uniform(0, 2 * np.pi)
     up = np.deg2rad(rng.uniform(*_ELEVATION))
@@ -72,8 +70,8 @@ def _hidden(points: np.ndarray, camera: np.ndarray, centre: np.ndarray) -> np.nd
 
 def depth_cloud(
     pieces: list[tuple[Float[np.ndarray, "F 3"], Float[np.ndarray, " F"]]],
-    camera: Float[np.ndarray, "3"],
-    centre: Float[np.ndarray, "3"],
+    camera: Float[np.ndarray, 3],
+    centre: Float[np.ndarray, 3],
     radius: float,
     count: int,
 ) -> Float[np.ndarray, "n 3"]:

@@ -17,9 +17,9 @@ _INSIDE = 1e-9
 class Support(NamedTuple):
     """The points that a sphere is held by. They stay so when the cloud is moved or scaled."""
 
-    index: Int[np.ndarray, "4"]
+    point: Int[np.ndarray, 4]
     """Of points; repeated where fewer than four hold the sphere."""
-    weight: Float[np.ndarray, "4"]
+    weight: Float[np.ndarray, 4]
     """The centre is the sum of weight times point; 0 for repeated points."""
 
 

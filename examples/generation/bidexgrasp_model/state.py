@@ -60,7 +60,7 @@ class Layout(NamedTuple):
             "stages": slice(end, self.width),
         }
 
-    def least(self) -> Float[Tensor, "D"]:
+    def least(self) -> Float[Tensor, " D"]:
         """Smallest spread of each number."""
         length, turn, angle = _LEAST
         one = [length] * 3 + [turn] * 6 + [angle] * self.joints

@@ -12,8 +12,8 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from bidexdata import Release, Run
 
+from bidexdata import Release, Run
 from bidexgrasp_model.checkpoint import Checkpoint
 from bidexgrasp_model.config import with_settings
 from bidexgrasp_model.places import Place, depth_clouds, release_clouds
@@ -65,7 +65,9 @@ def make_run(system: System, task: Task, out: Path) -> Run:
     if (out / "run.json").is_file():
         run = Run.open(out)
         if run.spec.config["about"].get("mark") != mark:
-            raise ValueError(f"{out} holds grasps of another checkpoint or task; choose another --out")
+            raise ValueError(
+                f"{out} holds grasps of another checkpoint or task; choose another --out"
+            )
         return run
     assert system.checkpoint is not None
     checkpoint = Checkpoint.load(system.checkpoint)
@@ -96,7 +98,9 @@ def scene_columns(places: Sequence[Place]) -> dict[str, np.ndarray]:
     }
 
 
-def seconds_per_batch(checkpoint: Path, release: Path, places: Sequence[Place], repeats: int = 5) -> float:
+def seconds_per_batch(
+    checkpoint: Path, release: Path, places: Sequence[Place], repeats: int = 5
+) -> float:
     """Median time of sampling 64 grasps of one cloud on this machine [s]."""
     found = Checkpoint.load(checkpoint)
     model = found.model()

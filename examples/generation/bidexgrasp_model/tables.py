@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -58,14 +58,14 @@ def tables_of(clouds: Float[Tensor, "B P 3"], model: ModelConfig) -> Tables:
     return Tables(
         nearest(clouds[:, :a], clouds, model.neighbours),
         nearest(clouds[:, :c], clouds[:, :a], model.neighbours),
-        torch.as_tensor(np.stack([s.index for s in held]), device=device),
+        torch.as_tensor(np.stack([s.point for s in held]), device=device),
         torch.as_tensor(np.stack([s.weight for s in held]), dtype=torch.float32, device=device),
     )
 
 
 def sphere_of(
     clouds: Float[Tensor, "B P 3"], tables: Tables
-) -> tuple[Float[Tensor, "B 3"], Float[Tensor, "B"]]:
+) -> tuple[Float[Tensor, "B 3"], Float[Tensor, " B"]]:
     """Centre and radius of the minimum bounding sphere of moved and scaled clouds [m]."""
     held = clouds.gather(1, tables.support[..., None].expand(-1, -1, 3))
     centre = (tables.weight[..., None] * held).sum(1)
@@ -108,6 +108,8 @@ def cached_tables(
     small = [t.to(torch.int16) if not t.is_floating_point() else t for t in joined]
     folder.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.stem}.{os.getpid()}.npz")
-    np.savez(partial, **{n: t.numpy() for n, t in zip(Tables._fields, small, strict=True)})
+    with open(partial, "wb") as stream:
+        columns: dict[str, Any] = dict(zip(Tables._fields, (t.numpy() for t in small), strict=True))
+        np.savez(stream, **columns)
     os.replace(partial, path)
     return Tables(*small)

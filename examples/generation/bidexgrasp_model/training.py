@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from bidexdata.loaders import EpochSampler, HandModel, ResumableLoader
 from torch import Tensor
 
+from bidexdata.loaders import EpochSampler, HandModel, ResumableLoader
 from bidexgrasp_model.checkpoint import Checkpoint, HandId
 from bidexgrasp_model.config import BadSetting, Config
 from bidexgrasp_model.data import CaseBatch, Cases
@@ -90,7 +90,9 @@ class Trainer:
             only=request.overfit,
         )
         if not len(cases):
-            raise BadSetting(f"{request.release}: no case of its split train has a grasp that passed")
+            raise BadSetting(
+                f"{request.release}: no case of its split train has a grasp that passed"
+            )
         self = cls(request, cases, ranks or Ranks())
         self._build()
         path = request.out / CHECKPOINT

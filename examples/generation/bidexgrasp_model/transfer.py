@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from bidexdata.loaders import BiDexCases
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from bidexdata.loaders import BiDexCases
 from bidexgrasp_model.anchors import Anchor, grasp_anchor
 from bidexgrasp_model.config import Config
 from bidexgrasp_model.data import FIELDS, poses_of
@@ -102,7 +102,9 @@ def transfer(
         case, R = _nearest(known, own, sizes_mm[b])
         chosen = torch.arange(grasps) % len(known.poses[case].pos)
         poses = Poses(*(part[chosen] for part in known.poses[case]))
-        found.append(carried(poses, known.centre[case], known.radius[case], R, centre[b], radius[b], joints))
+        found.append(
+            carried(poses, known.centre[case], known.radius[case], R, centre[b], radius[b], joints)
+        )
         wrists = found[-1].pos[:, :, GRASP]
         middle = centre[b].expand_as(wrists)
         views.append(nearest_view(wrists, middle, candidate_views(config.model.views)))
@@ -113,10 +115,10 @@ def transfer(
 
 def carried(
     poses: Poses,
-    old_centre: Float[Tensor, "3"],
+    old_centre: Float[Tensor, 3],
     old_radius: Float[Tensor, ""],
     R: Float[Tensor, "3 3"],
-    centre: Float[Tensor, "3"],
+    centre: Float[Tensor, 3],
     radius: Float[Tensor, ""],
     joints: int,
 ) -> Poses:

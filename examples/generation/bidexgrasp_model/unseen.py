@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from bidexdata import Library, Run, prepare_library
 from jaxtyping import Float
 from torch import Tensor
 
+from bidexdata import Library, Run, prepare_library
 from bidexgrasp_model.checkpoint import Checkpoint
 from bidexgrasp_model.places import (
     Place,
@@ -81,7 +81,10 @@ def sample_unseen(request: SampleRequest) -> Run:
 
 
 def _write(
-    request: SampleRequest, checkpoint: Checkpoint, places: list[Place], clouds: Float[Tensor, "B P 3"]
+    request: SampleRequest,
+    checkpoint: Checkpoint,
+    places: list[Place],
+    clouds: Float[Tensor, "B P 3"],
 ) -> Run:
     device = torch.device(request.device)
     model = checkpoint.model().to(device)
@@ -168,4 +171,4 @@ def _as_measured(
         turns = matrix_from_quat(torch.from_numpy(np.array(solid.rest_quats_wxyz, np.float64)))
         number = int(turns[:, 2, 2].argmax())  # the rest pose that is most upright
     place = Place(f"{object_id}/{mm}/table{number}", object_id, size, (0.0, 0.0, height), upright)
-    return place, moved + (0.0, 0.0, height)
+    return place, moved + np.array([0.0, 0.0, height])
