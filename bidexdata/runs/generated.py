@@ -94,7 +94,7 @@ def write_generated(
         hand=portable_hand(hand, out),
         hands=tuple(h.header() for h in hands),
         sizes_mm=tuple(sorted({p.size_mm for p in parts})),
-        setting=settings.pop(),
+        setting=parts[0].setting,
         source=relative_to_run(source, out),
         source_fingerprint=_fingerprint_of(source, of_release=of_release),
         seed=seed,
@@ -123,7 +123,7 @@ def _checked(
     missing = [n for n in GIVEN if n not in columns]
     if missing:
         raise BadConfig(f"a generated run needs the column {missing[0]!r}: {', '.join(GIVEN)}")
-    given = {n: np.asarray(columns[n], np.float32) for n in POSES}
+    given: dict[str, np.ndarray] = {n: np.asarray(columns[n], np.float32) for n in POSES}
     given["scene_id"] = np.asarray(columns["scene_id"], np.str_)
     header = Header(hands=tuple(h.header() for h in hands))
     shapes = {n: v.shape for n, v in empty_columns(header, GIVEN, len(given["scene_id"])).items()}

@@ -219,7 +219,7 @@ def from_plain(data: Mapping[str, Any]) -> Config:
         if name not in groups:
             raise BadSetting(f"no group of settings is called {name!r}")
         cls = get_type_hints(Config)[name]
-        made[name] = _group(cls, name, value) if dataclasses.is_dataclass(cls) else value
+        made[name] = value if cls is str else _group(cls, name, value)
     return Config(**made)
 
 

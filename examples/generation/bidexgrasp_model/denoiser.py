@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from jaxtyping import Float, Int
@@ -57,10 +57,11 @@ class Block(nn.Module):
         scale = self.shift(setting).chunk(6, dim=-1)
 
         def norm(k: int) -> Tensor:
-            plain = nn.functional.layer_norm(hands, hands.shape[-1:])
+            plain = nn.functional.layer_norm(hands, hands.shape[-1:])  # hands as they are by then
             return plain * (1 + scale[2 * k]) + scale[2 * k + 1]
 
-        hands = hands + self.both_out(attend(*self.both(norm(0)).chunk(3, dim=-1), self.heads))
+        query, key, value = self.both(norm(0)).chunk(3, dim=-1)
+        hands = hands + self.both_out(attend(query, key, value, self.heads))
         query = slots.padded(self.query(norm(1)).flatten(0, 1))
         seen = slots.flat(attend(query, keys.key, keys.value, self.heads))
         hands = hands + self.seen_out(seen).reshape(hands.shape)
@@ -91,7 +92,7 @@ class Denoiser(nn.Module):
 
     def keys(self, memory: Memory, frames: Frames) -> list[Keys]:
         """Keys and values of every block, to be computed once per batch of clouds."""
-        return [block.keys(memory, frames) for block in self.blocks]
+        return [cast("Block", block).keys(memory, frames) for block in self.blocks]
 
     def forward(
         self,
