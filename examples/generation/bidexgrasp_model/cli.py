@@ -19,6 +19,8 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+OVERFIT = ("train.rate=0.001", "train.repeats=8", "loss.geometric_every=8")
+"""Settings of `train --overfit`: few clouds, many noise levels of each grasp. Ours."""
 Out = Annotated[Path, typer.Option(help="Folder of what is made.")]
 Set = Annotated[list[str] | None, typer.Option("--set", help="Setting as GROUP.KEY=VALUE.")]
 Preset = Annotated[str, typer.Option(help="paper or cpu.")]
@@ -52,6 +54,8 @@ def train(
 
     _use_threads(threads)
     ranks = Ranks.from_environment(device)
+    if overfit is not None:
+        settings = [*OVERFIT, *(settings or [])]
     request = TrainRequest(
         release=release,
         out=out,
@@ -111,6 +115,28 @@ def sample(
     )
     typer.echo(f"{sum(len(b) for b in run.batches())} grasps of {run.object_ids[0]} in {out}")
     typer.echo(f"next: bidexdata validate {out}, or bidexdata view {out}")
+
+
+@app.command()
+def sample_train(
+    release: ReleaseArg,
+    checkpoint: Annotated[Path, typer.Option(help="Folder of the model.")],
+    out: Out,
+    overfit: Annotated[int, typer.Option(min=1, help="Cases that were learned by heart.")] = 8,
+    samples: Annotated[int, typer.Option(min=1, help="Grasps of each.")] = 8,
+    seed: Seed = 0,
+    threads: Threads = 1,
+) -> None:
+    """Make grasps of the cases that `train --overfit N` learned by heart."""
+    from bidexgrasp_model.systems import FULL, System, Task, make_run
+    from bidexgrasp_model.training import overfit_places
+
+    _use_threads(threads)
+    places = overfit_places(release, checkpoint, overfit)
+    task = Task(release=release, places=tuple(places), samples=samples, seed=seed)
+    run = make_run(System(FULL, "model", checkpoint), task, out)
+    typer.echo(f"{len(places) * samples} grasps of {len(places)} learned cases in {run.path}")
+    typer.echo(f"next: bidexdata validate {out} --tests l")
 
 
 @app.command()

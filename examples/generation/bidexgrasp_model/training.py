@@ -24,6 +24,7 @@ from bidexgrasp_model.data import CaseBatch, Cases
 from bidexgrasp_model.hand_shape import SIDES, HandShapes
 from bidexgrasp_model.model import GenerationModel, Scenes
 from bidexgrasp_model.objective import total_loss
+from bidexgrasp_model.places import Place, places_of_split
 from bidexgrasp_model.ranks import Ranks
 from bidexgrasp_model.state import Scale, encode
 from bidexgrasp_model.training_log import TrainingLog
@@ -249,6 +250,14 @@ class Trainer:
         decay = min(self.request.config.train.ema, (1 + self.step) / (10 + self.step))
         for mine, other in zip(self.average.parameters(), self.model.parameters(), strict=True):
             mine.lerp_(other.detach(), 1 - decay)
+
+
+def overfit_places(release: Path, checkpoint: Path, only: int) -> list[Place]:
+    """The scenes that `TrainRequest.overfit` chooses."""
+    found = Checkpoint.load(checkpoint)
+    cases = Cases(release, found.config, where=found.where, augment=False, only=only)
+    scenes = {cases[k]["scene_id"] for k in range(len(cases))}
+    return [p for p in places_of_split(cases.release, "train") if p.scene_id in scenes]
 
 
 def measure_scale(cases: Cases, model: GenerationModel) -> Scale:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from bidexgrasp_model.config import Config, from_plain
 
+from bidexdata import Run as BidexRun
 from bidexdata import (
     SynthRequest,
     TaskExecution,
@@ -17,7 +18,6 @@ from bidexdata import (
     synth_library,
     validate_run,
 )
-from bidexdata import Run as BidexRun
 
 INLINE = TaskExecution(executor="inline", quiet=True)
 
