@@ -158,11 +158,11 @@ def test_what_cannot_be_a_run_is_refused_with_its_reason(tmp_path, library, rele
         Run.create(out, {**good, "hand_pos": np.full_like(good["hand_pos"], np.nan)}, **options)
     with pytest.raises(BadConfig, match="at least one row"):
         Run.create(out, {n: v[:0] for n, v in good.items()}, **options)
+    mixed = np.array([*good["scene_id"][:2], f"{library.object_ids[0]}/500/float"])
     with pytest.raises(NotUsable, match="one setting"):
-        mixed = [*good["scene_id"][:2], f"{library.object_ids[0]}/500/float"]
-        Run.create(out, {**good, "scene_id": np.array(mixed)}, **options)
+        Run.create(out, {**good, "scene_id": mixed}, **options)
+    other = np.array(["mug-00000000/500/table0"] * 3)
     with pytest.raises(UnknownName, match="no object"):
-        other = np.array(["mug-00000000/500/table0"] * 3)
         Run.create(out, {**good, "scene_id": other}, **options)
     with pytest.raises(PathNotFound):
         Run.create(out, good, source=tmp_path / "nothing", hand="capsule")
