@@ -57,7 +57,7 @@ def write_generated(
     """Write poses as a run; what `Run.create` does.
 
     Args:
-        out: The run's folder; must not exist, or be empty.
+        out: The run's folder; must not exist, or be empty but for a library of its own.
         rows: The columns `GIVEN`, in any order of scenes; other columns are left out.
         source: Library or release that holds the objects.
         hand: Name of the hand, or LEFT,RIGHT.
@@ -76,7 +76,7 @@ def write_generated(
     of_release = expect_kind(source, "library", "release") == "release"
     if kind_of(out) == "run":
         raise NotUsable(f"{out} is a run already; a generated run is written once: choose another")
-    refuse_foreign(out, FOLDER)
+    refuse_foreign(out, FOLDER, *_inside(out, source))
     hands = load_hands(hand)
     given = _checked(rows, hands)
     parts = [scene_parts(scene) for scene in given["scene_id"].tolist()]
@@ -113,6 +113,14 @@ def write_generated(
     write_plan(out / PLAN_FILE, tasks)
     write_spec(out, spec)  # last: a killed start starts again
     return run
+
+
+def _inside(out: Path, source: Path) -> tuple[str, ...]:
+    """Name of the run's own folder that holds the objects, where they lie in the run."""
+    try:
+        return source.resolve().relative_to(out.resolve()).parts[:1]
+    except ValueError:
+        return ()
 
 
 def _checked(

@@ -139,7 +139,7 @@ class Run:
         out of range have the status `joint_range` and no pose.
 
         Args:
-            path: The run's folder; must not exist, or be empty.
+            path: The run's folder; must not exist, or be empty but for a library of its own.
             rows: `scene_id`, (N) text; `object_pos` (N, 3) [m] and `object_quat_wxyz` (N, 4);
                 `hand_pos` (N, H, S, 3) [m], `hand_quat_wxyz` (N, H, S, 4) and `joints` (N, H, S, J)
                 [rad], padded as everywhere. `size` (N) [m] where it has no whole millimetres.

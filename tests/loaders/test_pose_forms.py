@@ -163,7 +163,7 @@ def test_packed_contacts_are_the_padded_ones_without_padding(floating):
 
 def test_the_type_of_an_item_has_every_column():
     columns = {*GRASP_COLUMNS, *CONTACT_COLUMNS, *(f.name for f in GRASP_EXTRAS), *MEASURED}
-    made = {"object_index", "cloud_solid", "cloud_mesh", "point_index", "mirrored"}
+    made = {"object_index", "cloud_solid", "cloud_mesh", "cloud_normal", "point_index", "mirrored"}
     forms = {
         f"{name}_{form}" for name in ("hand", "object") for form in ("quat_xyzw", "rot6d", "matrix")
     }

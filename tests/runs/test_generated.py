@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 from made_release import OBJECTS, made_release
@@ -89,6 +91,17 @@ def test_rows_come_back_with_ids_sizes_and_statuses(tmp_path, library, hands):
     assert (batch["object_quat_wxyz"][:, 0] == 1).all(), "quaternions are stored with w >= 0"
     assert run.spec.kind == "generated"
     assert describe(run.path)["figures"]["n"] == 3
+
+
+def test_a_run_may_hold_its_own_library(tmp_path, library, hands):
+    own = tmp_path / "run" / "library"
+    shutil.copytree(library.path, own)
+    run = Run.create(tmp_path / "run", rows(hands, scenes_of(library)), source=own, hand="capsule")
+    assert run.spec.source == "library"
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.tex").touch()
+    with pytest.raises(NotUsable, match="is no run"):
+        Run.create(tmp_path / "other", rows(hands, scenes_of(library)), source=own, hand="capsule")
 
 
 def test_other_poses_are_another_run(tmp_path, library, hands):

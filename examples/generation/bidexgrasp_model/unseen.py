@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,11 +61,12 @@ def sample_unseen(request: SampleRequest) -> Run:
     checkpoint = Checkpoint.load(request.checkpoint)
     points = checkpoint.config.model.points
     measured = _read_points(request.source) if request.source.suffix.lower() in CLOUDS else None
-    mesh = request.source
-    if measured is not None:
-        mesh = request.out / "source" / f"{request.source.stem}.off"
-        _write_hull(mesh, measured)
-    library = _prepared(mesh, request)
+    with tempfile.TemporaryDirectory() as folder:
+        mesh = request.source
+        if measured is not None:
+            mesh = Path(folder) / f"{request.source.stem}.off"
+            _write_hull(mesh, measured)
+        library = _prepared(mesh, request)
     object_id = library.object_ids[0]
     if measured is not None:
         place, cloud = _as_measured(library, object_id, measured, checkpoint.setting)
@@ -146,7 +148,6 @@ def _write_hull(path: Path, points: Float[np.ndarray, "P 3"]) -> None:
     a, b, c = (corners[faces[:, k]] for k in range(3))
     inward = (np.cross(b - a, c - a) * (a - corners.mean(0))).sum(1) < 0
     faces[inward] = faces[inward][:, ::-1]
-    path.parent.mkdir(parents=True, exist_ok=True)
     lines = ["OFF", f"{len(corners)} {len(faces)} 0"]
     lines += [" ".join(f"{v:.9g}" for v in corner) for corner in corners]
     lines += [f"3 {i} {j} {k}" for i, j, k in faces]
