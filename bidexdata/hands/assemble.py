@@ -57,6 +57,16 @@ def mirrored_hand(spec: HandSpec, written: Hand, folder: Path) -> Hand:
     return mirrored(spec, written, bare, (written.make_spec().compile(), model))
 
 
+def drawn_hand(spec: HandSpec, side: Side, folder: Path) -> Hand:
+    """Make one side as far as it is drawn: kinematics and shapes, no contact points, no spheres.
+
+    Raises:
+        NotUsable: The model cannot be had, or does not fit the spec.
+    """
+    mjcf = load_model(spec, side, folder)
+    return _bare_hand(spec, side, mjcf, read_tree(mjcf.make_spec().compile()), folder)
+
+
 def _bare_hand(spec: HandSpec, side: Side, mjcf: HandMjcf, tree: HandTree, folder: Path) -> Hand:
     """Everything that the model and the spec's names give: no contacts, no spheres, all at zero."""
     prefix = spec.side(side).prefix

@@ -1,7 +1,7 @@
 """Names of hands, and how a name and a side become a `Hand`.
 
 A name is a spec in `hands/specs/`, or the path of a user's YAML spec. Loading is cached: the sphere
-fit takes about a second per hand.
+fit takes about a second per hand, which a hand that is only drawn goes without.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from bidexdata.config import named_yaml
 from bidexdata.errors import BadConfig
-from bidexdata.hands.assemble import mirrored_hand, written_hand
+from bidexdata.hands.assemble import drawn_hand, mirrored_hand, written_hand
 from bidexdata.hands.model import Hand, Side
 from bidexdata.hands.spec import HandSpec, read_spec
 
@@ -56,10 +56,19 @@ def load_hand(name: str | Path, side: Side) -> Hand:
         UnknownName: No hand has this name and no file this path.
         NotUsable: The model cannot be had, or does not fit the spec.
     """
-    if side not in ("left", "right"):
-        raise BadConfig(f"a hand's side is left or right, not {side!r}")
-    path = spec_path(str(name))
+    path = _path_of(name, side)
     return _load(path, side, path.stat().st_mtime_ns)
+
+
+def load_drawn(name: str | Path, side: Side) -> Hand:
+    """Load one hand as far as it is drawn: kinematics and shapes, no contact points, no spheres.
+
+    Raises:
+        UnknownName: No hand has this name and no file this path.
+        NotUsable: The model cannot be had, or does not fit the spec.
+    """
+    path = _path_of(name, side)
+    return _load_drawn(path, side, path.stat().st_mtime_ns)
 
 
 def spec_path(name: str) -> Path:
@@ -69,6 +78,17 @@ def spec_path(name: str) -> Path:
         UnknownName: No hand has this name and no file this path.
     """
     return named_yaml("hand", name, hand_names(), _SPECS)
+
+
+def _path_of(name: str | Path, side: Side) -> Path:
+    if side not in ("left", "right"):
+        raise BadConfig(f"a hand's side is left or right, not {side!r}")
+    return spec_path(str(name))
+
+
+@lru_cache(maxsize=16)
+def _load_drawn(path: Path, side: Side, modified: int) -> Hand:
+    return drawn_hand(read_spec(path), side, path.parent)
 
 
 @lru_cache(maxsize=16)

@@ -5,7 +5,7 @@ Pictures and the viewer read through `Browsable` and do not know which of the th
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -23,7 +23,7 @@ from bidexdata.runs.chosen import chosen_protocol, refuse_other_rig
 if TYPE_CHECKING:
     from bidexdata.arms.robot import Robot
     from bidexdata.formats.release import Release
-    from bidexdata.hands.model import Hand
+    from bidexdata.hands.model import Hand, Side
     from bidexdata.objects.library import Library
     from bidexdata.objects.prepared import Solid
     from bidexdata.runs.release_rows import ReleaseRowsIndex
@@ -70,7 +70,7 @@ class Browsable(Protocol):
         ...
 
     def hands(self) -> tuple[Hand, ...]:
-        """Load the hands, in the order of the H axis; none for a library."""
+        """Load the hands as far as they are drawn, in the order of the H axis; none for a library."""
         ...
 
     @property
@@ -216,8 +216,8 @@ class RunSource:
         return join_tasks(found) if found else None
 
     def hands(self) -> tuple[Hand, ...]:
-        """Load the run's hands."""
-        return self.run.hands()
+        """Load the run's hands as far as they are drawn."""
+        return self.run.hands(drawn=True)
 
     @property
     def rig(self) -> str:
@@ -295,12 +295,14 @@ class ReleaseSource:
         return batch if len(batch) else None
 
     def hands(self) -> tuple[Hand, ...]:
-        """Load hands of the names, sides and joints that the release states.
+        """Load hands of the names, sides and joints that the release states, as far as drawn.
 
         Raises:
             NotUsable: A hand is not known here, or its joints are others.
         """
-        return tuple(hand_here(header, self.path) for header in self.release.hands)
+        from bidexdata.hands import load_drawn
+
+        return tuple(hand_here(header, self.path, load_drawn) for header in self.release.hands)
 
     @property
     def rig(self) -> str:
@@ -390,12 +392,15 @@ def _no_verdicts(batch: GraspBatch) -> dict[str, np.ndarray]:
     return empty_columns(batch.header, missing, len(batch))
 
 
-def hand_here(header: HandHeader, path: Path) -> Hand:
+def hand_here(
+    header: HandHeader, path: Path, load: Callable[[str, Side], Hand] | None = None
+) -> Hand:
     """Load the hand of this installation that a header names.
 
     Args:
         header: Of the release at `path`.
         path: For messages.
+        load: How; `hands.load_hand` when omitted.
 
     Raises:
         NotUsable: There is none, or its joints are others.
@@ -403,7 +408,7 @@ def hand_here(header: HandHeader, path: Path) -> Hand:
     from bidexdata.hands import load_hand
 
     side = "left" if header.side == "left" else "right"
-    hand = load_hand(header.name, side)
+    hand = (load or load_hand)(header.name, side)
     if hand.joint_names != header.joint_names or hand.root_body != header.root_body:
         raise NotUsable(
             f"{path}: its {header.side} hand {header.name!r} has other joints or another root body "

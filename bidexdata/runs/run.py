@@ -220,18 +220,22 @@ class Run:
             return Release.open(self._source()).load_solid(object_id)
         return self.library.load_solid(object_id)
 
-    def hands(self) -> tuple[Hand, ...]:
+    def hands(self, *, drawn: bool = False) -> tuple[Hand, ...]:
         """Load the run's hands, in the order of the H axis.
+
+        Args:
+            drawn: Only as far as they are drawn, which is sooner.
 
         Raises:
             ConfigConflict: A hand's spec or files have changed since the run was made.
         """
-        from bidexdata.hands import load_hand
+        from bidexdata.hands import load_drawn, load_hand
 
+        load = load_drawn if drawn else load_hand
         names = [resolve_spec(n.strip(), self.path) for n in self.spec.hand.split(",")]
         hands = []
         for number, header in enumerate(self.spec.hands):
-            hand = load_hand(names[min(number, len(names) - 1)], cast("Side", header.side))
+            hand = load(names[min(number, len(names) - 1)], cast("Side", header.side))
             if hand.spec_hash != header.spec_hash:
                 change = f"{header.spec_hash[:12]!r} -> {hand.spec_hash[:12]!r}"
                 raise ConfigConflict(self.path, [f"hands.{header.side}.spec_hash: {change}"])

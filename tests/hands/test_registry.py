@@ -12,7 +12,8 @@ import pytest
 import yaml
 
 from bidexdata.errors import BadConfig, NotUsable, PathNotFound, UnknownKey, UnknownName
-from bidexdata.hands import hand_names, load_hand, load_hands, registry
+from bidexdata.hands import hand_names, load_drawn, load_hand, load_hands, registry
+from bidexdata.hands.kinematics import forward_kinematics
 from bidexdata.hands.meshes import visual_meshes
 from bidexdata.hands.source import load_model
 from bidexdata.hands.urdf import hand_urdf
@@ -62,6 +63,27 @@ def test_header_carries_what_files_need(hand):
     assert header.contact_names == hand.contact_names
     assert header.root_body.endswith("palm")
     assert len(header.spec_hash) == 64
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("name", ["capsule", "shadow", "leap"])
+def test_a_hand_that_is_only_drawn_has_the_kinematics_and_shapes_of_the_whole_one(
+    name, side, request
+):
+    if name != "capsule":
+        request.getfixturevalue("menagerie")
+    whole, drawn = load_hand(name, side), load_drawn(name, side)
+    assert (drawn.spec_hash, drawn.body_names) == (whole.spec_hash, whole.body_names)
+    assert drawn.joint_names == whole.joint_names
+    rng = np.random.default_rng(0)
+    for angles in rng.uniform(whole.joint_lower, whole.joint_upper, (4, len(whole.joint_names))):
+        for mine, theirs in zip(
+            *(forward_kinematics(h, angles) for h in (drawn, whole)), strict=True
+        ):
+            np.testing.assert_array_equal(mine, theirs)
+    for mine, theirs in zip(visual_meshes(drawn), visual_meshes(whole), strict=True):
+        assert mine.body == theirs.body
+        np.testing.assert_array_equal(mine.mesh.vertices, theirs.mesh.vertices)
 
 
 def test_palm_is_the_root_and_nothing_above_it_remains(hand):
