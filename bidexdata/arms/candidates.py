@@ -23,7 +23,7 @@ from bidexdata.arms.inverse_kinematics import (
     solve_ik,
 )
 from bidexdata.arms.robot import Arm, Robot
-from bidexdata.arms.solutions import Targets
+from bidexdata.arms.solutions import Grasps
 from bidexdata.arms.stand_offs import stand_offs
 from bidexdata.arms.waypoints import Poses, lifted, line
 from bidexdata.frames import matrix_from_quat
@@ -35,6 +35,8 @@ REACHED, CLEAR, FOLLOWED, FREE = 1, 2, 3, 4
 clear at all of them."""
 _ROOM_COUNTS = 30.0
 """What a metre of clearance is worth in turns away from rest [rad/m]."""
+_LOOK_EVERY = 3
+"""Clearance is looked at so often along the waypoints [-]: hands go by two centimetres at most."""
 _ALIKE = 0.05
 """Postures that differ by less in every joint are one [rad]."""
 _KINDS = (Status.COLLISION_TABLE, Status.COLLISION_OBJECT, Status.COLLISION_SELF)
@@ -68,7 +70,7 @@ class Candidates(NamedTuple):
     @property
     def free(self) -> Bool[np.ndarray, "N C"]:
         """Which nothing stopped."""
-        return self.gate == FREE
+        return np.asarray(self.gate == FREE)
 
     def outcome(self) -> tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"], Int[np.ndarray, " N"]]:
         """Of the candidate of each grasp that came farthest: its number, gate and status."""
@@ -82,17 +84,17 @@ def ways(
     robot: Robot,
     side: int,
     around: Surroundings,
-    targets: Targets,
+    grasps: Grasps,
     config: ArmConfig,
 ) -> Ways:
     """Give one hand's waypoints of each grasp: stand-off, pre-grasp, grasp, squeeze, lift."""
     path = config.path
     pregrasp, grasp, squeeze = (
-        Poses(targets.hand_pos[:, side, s], targets.hand_quat_wxyz[:, side, s]) for s in range(3)
+        Poses(grasps.hand_pos[:, side, s], grasps.hand_quat_wxyz[:, side, s]) for s in range(3)
     )
     if path.squeeze_palm == "fixed":
         squeeze = grasp
-    back = stand_offs(robot.hands[side], side, pregrasp, around, targets, config)
+    back = stand_offs(robot.hands[side], side, pregrasp, around, grasps, config)
     frames = [back, pregrasp, grasp, squeeze, lifted(squeeze, path.lift)]
     _approach, *counts = path.knots
     parts = [Poses(back.pos[:, None], back.quat_wxyz[:, None])]
@@ -103,13 +105,13 @@ def ways(
 
 def object_along(
     field: SignedDistanceGrid | None,
-    targets: Targets,
+    grasps: Grasps,
     config: ArmConfig,
     *,
     device: str = "cpu",
 ) -> Surroundings:
     """The object of the grasps at every waypoint, rows (N T): it rises with the hands."""
-    count = len(targets.hand_pos)
+    count = len(grasps.hand_pos)
     waypoints = 1 + sum(config.path.knots[1:])
     if field is None:
         return Surroundings(None, rows=count * waypoints, device=device)
@@ -117,10 +119,13 @@ def object_along(
     rise = np.concatenate(
         [np.zeros(1 + reach + close + squeeze), np.arange(1, lift + 1) / lift * config.path.lift]
     )
-    pos = targets.object_pos + rise[:, None] * np.array([0.0, 0.0, 1.0])
-    rot = np.broadcast_to(matrix_from_quat(targets.object_quat_wxyz), (count * len(rise), 3, 3))
+    pos = grasps.object_pos[:, None] + rise[:, None] * np.array([0.0, 0.0, 1.0])
+    rot = matrix_from_quat(grasps.object_quat_wxyz)
     placed = Placed(
-        field, np.full(count * len(rise), targets.size), np.tile(pos, (count, 1)), np.array(rot)
+        field,
+        np.repeat(grasps.size, waypoints),
+        pos.reshape(-1, 3),
+        np.repeat(rot, waypoints, axis=0),
     )
     return Surroundings(placed, rows=count * waypoints, device=device)
 
@@ -253,9 +258,10 @@ def _follow(
         _name_misses(part, missed, back.reached, on.reached, arm, way, config, device)
     alive = alive & smooth
     part.gate[alive] = FOLLOWED
-    at = rows[:, None, None] * pos.shape[1] + np.arange(pos.shape[1])
-    mask = np.broadcast_to(alive[:, :, None], whole.shape[:3])
-    gap, kind = _least(arm, whole, np.broadcast_to(at, mask.shape), mask, around)
+    looked = np.unique(np.append(np.arange(0, pos.shape[1], _LOOK_EVERY), [g, pos.shape[1] - 1]))
+    mask = np.broadcast_to(alive[:, :, None], (*alive.shape, len(looked)))
+    at = np.broadcast_to(rows[:, None, None] * pos.shape[1] + looked, mask.shape)
+    gap, kind = _least(arm, whole[:, :, looked], at, mask, around)
     worst = gap.argmin(axis=2)[:, :, None]
     least = np.take_along_axis(gap, worst, axis=2)[:, :, 0]
     part.status[alive] = np.take_along_axis(kind, worst, axis=2)[:, :, 0][alive]

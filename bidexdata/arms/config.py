@@ -19,11 +19,12 @@ class ClearanceConfig:
     """Clearance by spheres below which a posture of the search collides [m]."""
     enough: float = 0.03
     """Clearance beyond which more does not make a posture better [m]."""
-    asked: float = 0.05
-    """Clearance by spheres below which MuJoCo is asked about a knot of the approach [m]."""
+    asked: float = 0.03
+    """Clearance by spheres below which MuJoCo is asked about a knot that is no key frame [m]: links
+    stand out of their spheres by 0.025 m at most."""
     depth: float = 0.001
     """Overlap that MuJoCo may find at a knot [m]."""
-    reach: float = 0.05
+    reach: float = 0.02
     """Larger clearances are stored as this [m]."""
 
     def __post_init__(self) -> None:

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from bidexdata.arms.arm_scene import ArmScene, set_arms
 from bidexdata.arms.config import ArmConfig
 from bidexdata.arms.contacts import arm_distances
-from bidexdata.arms.solutions import Targets
+from bidexdata.arms.solutions import Grasps
 from bidexdata.record.status import Status
 
 _STATUS = (
@@ -33,7 +33,7 @@ class FinalWord(NamedTuple):
 
 def final_word(
     scene: ArmScene,
-    targets: Targets,
+    grasps: Grasps,
     row: int,
     path: Float[np.ndarray, "2 W A"],
     asked: Bool[np.ndarray, " W"],
@@ -47,7 +47,7 @@ def final_word(
 
     Args:
         scene: The object at its size; its state is overwritten.
-        targets: The grasps of the scene.
+        grasps: The grasps.
         row: Which of them.
         path: Angles of both arms at every knot [rad].
         asked: Knots that are looked at.
@@ -58,10 +58,10 @@ def final_word(
     squeezed = pregrasp + close + squeeze
     number = np.arange(path.shape[1])
     share = np.clip((number - pregrasp) / close, 0.0, 1.0)[:, None, None]
-    first, closed = targets.joints[row, :, 0], targets.joints[row, :, 1]
+    first, closed = grasps.joints[row, :, 0], grasps.joints[row, :, 1]
     joints = first + share * (closed - first)
     rise = np.maximum(number - squeezed, 0) / lift * config.path.lift
-    set_arms(scene, targets.object_pos, targets.object_quat_wxyz, path[:, 0], joints[0])
+    set_arms(scene, grasps.object_pos[row], grasps.object_quat_wxyz[row], path[:, 0], joints[0])
     least = np.full(4, config.clearance.reach)
     # The grasp is looked at first: most motions that collide do so there.
     for touch in (True, False):

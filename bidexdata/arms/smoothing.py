@@ -2,8 +2,8 @@
 
 Every joint is a problem of its own with the same matrix. Where no bound is met, which is the rule,
 its solution is that of one small linear system for all joints; OSQP solves the others. The problem of
-many knots is stiff (its eigenvalues span nine powers of ten), so that OSQP needs some ten milliseconds
-where the linear system needs a tenth of one.
+many knots is stiff (its eigenvalues span nine powers of ten), so that OSQP needs about a millisecond
+per joint where the linear system needs a tenth of one for all.
 """
 
 from __future__ import annotations
@@ -65,38 +65,37 @@ class Smoother:
         known = NEAR * path[..., free, :] - across @ path[..., pinned, :]
         smooth[..., free, :] = np.linalg.solve(self._hessian[np.ix_(free, free)], known)
         inside = (smooth >= lower - _ROOM) & (smooth <= upper + _ROOM)
-        steps = np.abs(np.diff(smooth, axis=-2)).max(axis=(-2, -1), initial=0.0)
-        good = inside.all(axis=(-2, -1)) & (steps <= largest_step + _ROOM)
+        steps = np.abs(np.diff(smooth, axis=-2)).max(axis=-2, initial=0.0)
+        bad = ~inside.all(axis=-2) | (steps > largest_step + _ROOM)
         smooth = np.where(free[:, None], np.clip(smooth, lower, upper), path)
-        solved = np.ones(good.shape, bool)
-        for index in zip(*np.nonzero(~np.atleast_1d(good)), strict=True):
-            at = index if path.ndim > 2 else ()
-            smooth[at], solved[at] = self._bounded(path[at], pinned, lower, upper, largest_step)
-        return Smoothed(smooth, solved)
+        solved = np.ones(path.shape[:-2], bool)
+        # Every joint is a problem of its own.
+        for *row, joint in np.argwhere(bad).tolist():
+            column = (*row, slice(None), joint)
+            limits = (lower[joint], upper[joint], largest_step)
+            smooth[column], good = self._bounded(path[column], pinned, *limits)
+            solved[tuple(row)] &= good
+        return Smoothed(np.where(solved[..., None, None], smooth, path), solved)
 
     def _bounded(
         self,
         path: np.ndarray,
         pinned: np.ndarray,
-        lower: np.ndarray,
-        upper: np.ndarray,
+        lower: float,
+        upper: float,
         largest_step: float,
     ) -> tuple[np.ndarray, bool]:
-        """The same for one path where a bound is met, by OSQP."""
-        knots, joints = self._shape
-        solver = self._solver = self._solver or _set_up(self._hessian, joints)
-        fixed = np.broadcast_to(pinned[:, None], path.shape)
-        low, high = np.where(fixed, path, lower), np.where(fixed, path, upper)
-        turn = np.full((knots - 1, joints), largest_step)
-        bottom, top = (np.concatenate(rows).T.ravel() for rows in ((low, -turn), (high, turn)))
-        given = path.T.ravel()
-        solver.update(l=bottom, u=top, q=-NEAR * given)
-        solver.warm_start(x=given, y=np.zeros(len(bottom)))
-        found = solver.solve(raise_error=False)
+        """The same for one joint where a bound is met, by OSQP."""
+        self._solver = self._solver or _set_up(self._hessian)
+        turn = np.full(len(path) - 1, largest_step)
+        bottom = np.concatenate([np.where(pinned, path, lower), -turn])
+        top = np.concatenate([np.where(pinned, path, upper), turn])
+        self._solver.update(l=bottom, u=top, q=-NEAR * path)
+        self._solver.warm_start(x=path, y=np.zeros(len(bottom)))
+        found = self._solver.solve(raise_error=False)
         if found.info.status != "solved":
             return path, False
-        smooth = np.asarray(found.x, np.float64).reshape(joints, knots).T
-        return np.where(fixed, path, np.clip(smooth, lower, upper)), True
+        return np.where(pinned, path, np.clip(np.asarray(found.x, np.float64), lower, upper)), True
 
 
 def roughness(path: Float[np.ndarray, "W A"]) -> float:
@@ -104,19 +103,19 @@ def roughness(path: Float[np.ndarray, "W A"]) -> float:
     return float(np.sum(np.diff(path, 3, axis=0) ** 2))
 
 
-def _set_up(hessian: np.ndarray, joints: int) -> Any:
+def _set_up(hessian: np.ndarray) -> Any:
     import osqp
     from scipy import sparse
 
     knots = len(hessian)
-    rows = sparse.vstack([sparse.eye(knots), sparse.csc_matrix(np.diff(np.eye(knots), axis=0))])
-    every = sparse.eye(joints)
-    P = sparse.triu(sparse.kron(every, sparse.csc_matrix(hessian)), format="csc")
-    A = sparse.kron(every, rows, format="csc")
-    free = np.full((2 * knots - 1) * joints, np.inf)
+    steps = sparse.csc_matrix(np.diff(np.eye(knots), axis=0))
+    A = sparse.vstack([sparse.eye(knots), steps], format="csc")
+    free = np.full(2 * knots - 1, np.inf)
     solver = osqp.OSQP()
     solver.setup(
-        P, np.zeros(knots * joints), A, -free, free, verbose=False, polishing=True,
-        eps_abs=_TOLERANCE, eps_rel=_TOLERANCE, max_iter=4000, rho=_RHO, adaptive_rho=False,
+        sparse.triu(sparse.csc_matrix(hessian), format="csc"),
+        *(np.zeros(knots), A, -free, free),
+        verbose=False, polishing=True, eps_abs=_TOLERANCE, eps_rel=_TOLERANCE, max_iter=4000,
+        rho=_RHO, adaptive_rho=False,
     )  # fmt: skip
     return solver

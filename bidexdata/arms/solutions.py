@@ -5,6 +5,7 @@ Frames: poses are those of the record's `hand` frame in the world.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,13 +32,36 @@ class Targets(NamedTuple):
     joints: Float[np.ndarray, "N 2 3 J"]
     """Of the hands, in the order of the record [rad]."""
 
-    def select(self, rows: np.ndarray) -> Targets:
+
+class Grasps(NamedTuple):
+    """N grasps of one object at any sizes and places, float64; stages as in `Targets`."""
+
+    object_pos: Float[np.ndarray, "N 3"]
+    """[m]."""
+    object_quat_wxyz: Float[np.ndarray, "N 4"]
+    size: Float[np.ndarray, " N"]
+    """[m]."""
+    hand_pos: Float[np.ndarray, "N 2 3 3"]
+    """[m]."""
+    hand_quat_wxyz: Float[np.ndarray, "N 2 3 4"]
+    joints: Float[np.ndarray, "N 2 3 J"]
+    """[rad]."""
+
+    def select(self, rows: np.ndarray) -> Grasps:
         """Some of the grasps, by index or mask."""
-        return self._replace(
-            hand_pos=self.hand_pos[rows],
-            hand_quat_wxyz=self.hand_quat_wxyz[rows],
-            joints=self.joints[rows],
-        )
+        return Grasps(*(column[rows] for column in self))
+
+
+def join_targets(scenes: Sequence[Targets]) -> Grasps:
+    """The grasps of several scenes of one object, one behind the other."""
+    counts = [len(targets.hand_pos) for targets in scenes]
+    hands = [np.concatenate(columns) for columns in zip(*(t[3:] for t in scenes), strict=True)]
+    return Grasps(
+        np.repeat([t.object_pos for t in scenes], counts, axis=0),
+        np.repeat([t.object_quat_wxyz for t in scenes], counts, axis=0),
+        np.repeat([float(t.size) for t in scenes], counts),
+        *hands,
+    )
 
 
 class ArmSolutions(NamedTuple):
@@ -74,6 +98,10 @@ class ArmSolutions(NamedTuple):
     def ok(self) -> np.ndarray:
         """Which grasps have a motion, (N,) bool."""
         return self.arm_status == Status.OK
+
+    def select(self, rows: np.ndarray | slice) -> ArmSolutions:
+        """Those of some grasps."""
+        return ArmSolutions(*(column[rows] for column in self))
 
     def to_columns(self) -> dict[str, np.ndarray]:
         """The record's columns, in its dtypes."""

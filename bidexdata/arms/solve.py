@@ -8,12 +8,13 @@ answer depends on the others. Frames: world.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from bidexdata.arms.arm_scene import ArmScene
+from bidexdata.arms.arm_scene import ArmScene, SizedArmScenes
 from bidexdata.arms.candidates import (
     FREE,
     Candidates,
@@ -28,7 +29,13 @@ from bidexdata.arms.config import ArmConfig
 from bidexdata.arms.final_word import final_word
 from bidexdata.arms.robot import Robot
 from bidexdata.arms.smoothing import Smoother
-from bidexdata.arms.solutions import ArmSolutions, Targets, no_solutions
+from bidexdata.arms.solutions import (
+    ArmSolutions,
+    Grasps,
+    Targets,
+    join_targets,
+    no_solutions,
+)
 from bidexdata.arms.timing import knot_times
 from bidexdata.arms.ways_home import OTHERS, OVER, PLANNED, STRAIGHT, WaysHome, waiting
 from bidexdata.frames import matrix_from_quat, quat_angle, quat_from_matrix
@@ -61,15 +68,56 @@ def solve_arms(
         config: How.
         device: A Warp device.
     """
-    config = config or ArmConfig()
-    every = no_solutions(robot, config, len(targets.hand_pos))
-    rows = np.flatnonzero(_finite(robot, targets))
+    give = None if scene is None else (lambda _size: scene)
+    return _solve(robot, field, give, join_targets([targets]), config or ArmConfig(), device)
+
+
+def solve_scenes(
+    robot: Robot,
+    field: SignedDistanceGrid | None,
+    scenes: SizedArmScenes | None,
+    targets: Sequence[Targets],
+    config: ArmConfig | None = None,
+    *,
+    device: str = "cpu",
+) -> list[ArmSolutions]:
+    """`solve_arms` for several scenes of one object, which takes less time than one by one.
+
+    Args:
+        robot: The robot.
+        field: As for `solve_arms`.
+        scenes: The object at any size, for MuJoCo's word.
+        targets: The grasps of each scene.
+        config: How.
+        device: A Warp device.
+    """
+    if not targets:
+        return []
+    give = None if scenes is None else scenes.at
+    found = _solve(robot, field, give, join_targets(targets), config or ArmConfig(), device)
+    ends = np.cumsum([len(one.hand_pos) for one in targets])
+    return [
+        found.select(slice(end - len(one.hand_pos), end))
+        for one, end in zip(targets, ends, strict=True)
+    ]
+
+
+def _solve(
+    robot: Robot,
+    field: SignedDistanceGrid | None,
+    scene_at: Callable[[float], ArmScene] | None,
+    grasps: Grasps,
+    config: ArmConfig,
+    device: str,
+) -> ArmSolutions:
+    every = no_solutions(robot, config, len(grasps.hand_pos))
+    rows = np.flatnonzero(_finite(robot, grasps))
     if not len(rows):
         return every
-    targets = targets.select(rows)
-    around = surroundings(robot, field, targets, device=device)
-    along = object_along(field, targets, config, device=device)
-    way = (ways(robot, 0, around, targets, config), ways(robot, 1, around, targets, config))
+    grasps = grasps.select(rows)
+    around = surroundings(robot, field, grasps, device=device)
+    along = object_along(field, grasps, config, device=device)
+    way = (ways(robot, 0, around, grasps, config), ways(robot, 1, around, grasps, config))
     left, right = (
         find_candidates(arm, way[h], along, config, device=device)
         for h, arm in enumerate(robot.arms)
@@ -77,7 +125,7 @@ def solve_arms(
     made = no_solutions(robot, config, len(rows), Status.OK)
     made.arm_starts[:] = config.ik.starts + config.search.near_rest
     _refuse(made, (left, right), config)
-    _Pairing(robot, scene, targets, (left, right), around, config).solve(made)
+    _Pairing(robot, scene_at, grasps, (left, right), around, config).solve(made)
     _measure(made, robot, way, config)
     for whole, part in zip(every, made, strict=True):
         whole[rows] = part
@@ -87,31 +135,26 @@ def solve_arms(
 def surroundings(
     robot: Robot,
     field: SignedDistanceGrid | None,
-    targets: Targets,
+    grasps: Grasps,
     *,
     device: str = "cpu",
 ) -> Surroundings:
     """The object and the open hands of each grasp."""
-    count = len(targets.hand_pos)
     left, right = (
         HeldHands(
-            hand_points(hand, targets.joints[:, h, 0, : len(hand.joint_names)]).sphere,
+            hand_points(hand, grasps.joints[:, h, 0, : len(hand.joint_names)]).sphere,
             hand.sphere_radius,
         )
         for h, hand in enumerate(robot.hands)
     )
     placed = None
     if field is not None:
-        rot = matrix_from_quat(targets.object_quat_wxyz)
-        placed = Placed(
-            *(field, np.full(count, targets.size)),
-            np.tile(targets.object_pos, (count, 1)),
-            np.tile(rot, (count, 1, 1)),
-        )
-    return Surroundings(placed, (left, right), rows=count, device=device)
+        rot = matrix_from_quat(grasps.object_quat_wxyz)
+        placed = Placed(field, grasps.size, grasps.object_pos, rot)
+    return Surroundings(placed, (left, right), rows=len(grasps.size), device=device)
 
 
-def _finite(robot: Robot, targets: Targets) -> np.ndarray:
+def _finite(robot: Robot, targets: Grasps) -> np.ndarray:
     """Which rows have poses and fingers, (N,) bool."""
     pose = np.asarray(np.isfinite(targets.hand_pos).all(axis=(1, 2, 3)))
     pose &= np.isfinite(targets.hand_quat_wxyz).all(axis=(1, 2, 3))
@@ -154,15 +197,15 @@ class _Pairing:
     def __init__(
         self,
         robot: Robot,
-        scene: ArmScene | None,
-        targets: Targets,
+        scene_at: Callable[[float], ArmScene] | None,
+        grasps: Grasps,
         sides: tuple[Candidates, Candidates],
         around: Surroundings,
         config: ArmConfig,
     ) -> None:
-        self._robot, self._scene, self._targets = robot, scene, targets
+        self._robot, self._scene_at, self._grasps = robot, scene_at, grasps
         self._sides, self._around, self._config = sides, around, config
-        both = sides[0].free.any(axis=1) & sides[1].free.any(axis=1)
+        both = np.asarray(sides[0].free.any(axis=1) & sides[1].free.any(axis=1))
         self._home = tuple(
             WaysHome(robot, h, side.q[:, :, 0], side.free & both[:, None], around, config)
             for h, side in enumerate(sides)
@@ -179,7 +222,7 @@ class _Pairing:
             rows = np.flatnonzero(self._todo)
             if not len(rows):
                 return
-            lacking = [~home.ok[rows].any(axis=1) for home in self._home]
+            lacking = [~np.any(home.ok[rows], axis=1) for home in self._home]
             stuck = ~(lacking[0] | lacking[1])
             for home, lacks in zip(self._home, lacking, strict=True):
                 home.find(effort, rows[lacks | stuck])
@@ -198,7 +241,7 @@ class _Pairing:
         """Grasps that still have a pair with two ways from home."""
         ready = self._open & self._home[0].ok[:, :, None] & self._home[1].ok[:, None]
         return np.flatnonzero(
-            self._todo & ready.any(axis=(1, 2)) & (self._tries < self._config.search.pairs)
+            self._todo & np.any(ready, axis=(1, 2)) & (self._tries < self._config.search.pairs)
         )
 
     def _best(self, rows: np.ndarray) -> np.ndarray:
@@ -213,10 +256,10 @@ class _Pairing:
 
     def _try(self, made: ArmSolutions, rows: np.ndarray) -> None:
         """Try the next pair of each of some grasps."""
-        picks, config, count = self._best(rows), self._config, self._config.path.knots[0] + 1
+        picks, config = self._best(rows), self._config
         way = [home.path[rows, picks[:, h]] for h, home in enumerate(self._home)]
         on = [side.q[rows, picks[:, h], 1:] for h, side in enumerate(self._sides)]
-        apart = self._apart(rows, way) >= config.clearance.margin
+        apart = np.asarray(self._apart(rows, way) >= config.clearance.margin)
         for k in np.flatnonzero(~apart):
             apart[k] = self._wait(int(rows[k]), picks[k], way, int(k))
         apart &= self._apart(rows, on, with_hands=False) >= config.clearance.margin
@@ -229,13 +272,17 @@ class _Pairing:
         turns = np.max([_largest_step(path) for path in paths], axis=0)
         steady = turns <= config.path.largest_step
         self._stop(made, rows, picks, ~steady, STEADY, Status.JUMP)
+        scene, size = None, np.nan
         for k in np.flatnonzero(steady):
             n, both = int(rows[k]), _padded(self._robot, [path[k] for path in paths])
             status, least = Status.OK, np.full(4, np.nan)
-            if self._scene is not None:
-                asked = np.ones(both.shape[1], bool)
-                asked[: count - 1] = gap[k, :-1] < config.clearance.asked
-                status, least = final_word(self._scene, self._targets, n, both, asked, config)
+            if self._scene_at is not None:
+                if scene is None or self._grasps.size[n] != size:
+                    size = self._grasps.size[n]
+                    scene = self._scene_at(float(size))
+                asked = gap[k] < config.clearance.asked
+                asked[_key_knots(config)] = True
+                status, least = final_word(scene, self._grasps, n, both, asked, config)
                 if status != Status.OK:
                     self._tries[n] += config.search.pairs // config.search.words
             one = np.arange(len(rows)) == k
@@ -293,7 +340,7 @@ class _Pairing:
         """Smooth the ways from home where that leaves them clear; writes to `paths`.
 
         Returns:
-            Clearance by spheres at the knots of the approach [m].
+            Clearance by spheres at all knots [m]; behind the approach without hands.
         """
         count = self._config.path.knots[0] + 1
         pinned = np.ones(paths[0].shape[1], bool)
@@ -311,16 +358,26 @@ class _Pairing:
             path[~rough] = better[~rough]
         if rough.any():
             gap[rough] = self._gaps(rows[rough], [path[rough, :count] for path in paths])
-        return gap
+        on = self._gaps(rows, [path[:, count:] for path in paths], with_hands=False)
+        return np.concatenate([gap, on], axis=1)
 
-    def _gaps(self, rows: np.ndarray, paths: list[np.ndarray]) -> Float[np.ndarray, "R K"]:
-        """Clearance of both arms with their hands at every knot, by spheres [m]."""
-        gap = self._gaps_apart(rows, paths)
+    def _gaps(
+        self, rows: np.ndarray, paths: list[np.ndarray], *, with_hands: bool = True
+    ) -> Float[np.ndarray, "R K"]:
+        """Clearance of both arms at every knot, by spheres [m]."""
+        gap = self._gaps_apart(rows, paths, with_hands=with_hands)
         of = np.repeat(rows, gap.shape[1])
         for h, (arm, path) in enumerate(zip(self._robot.arms, paths, strict=True)):
-            alone = clear_at(arm, path.reshape(-1, path.shape[2]), of, self._around, h).min(axis=0)
+            flat = path.reshape(-1, path.shape[2])
+            alone = clear_at(arm, flat, of, self._around, h, with_hand=with_hands).min(axis=0)
             gap = np.minimum(gap, alone.reshape(gap.shape))
         return gap
+
+
+def _key_knots(config: ArmConfig) -> np.ndarray:
+    """Knots about which MuJoCo is always asked: key frames, and the last before the pre-grasp."""
+    ends = np.cumsum(config.path.knots)
+    return np.append(ends, ends[1] - 1)
 
 
 @lru_cache(maxsize=8)

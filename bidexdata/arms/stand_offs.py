@@ -10,7 +10,7 @@ import numpy as np
 
 from bidexdata.arms.clearance import Surroundings, room_of_ways
 from bidexdata.arms.config import ArmConfig
-from bidexdata.arms.solutions import Targets
+from bidexdata.arms.solutions import Grasps
 from bidexdata.arms.waypoints import Poses, stand_off
 from bidexdata.hands.kinematics import hand_points
 from bidexdata.hands.model import Hand
@@ -31,7 +31,7 @@ def stand_offs(
     side: int,
     pregrasp: Poses,
     around: Surroundings,
-    targets: Targets,
+    grasps: Grasps,
     config: ArmConfig,
 ) -> Poses:
     """Give the stand-off of one hand of each grasp.
@@ -41,18 +41,18 @@ def stand_offs(
         side: Its place among the hands.
         pregrasp: Where it is before it closes.
         around: The object, and the hands as they are then.
-        targets: The grasps.
+        grasps: The grasps.
         config: How far back, and how high.
     """
     rule = config.path
-    joints = targets.joints[:, side, 0, : len(hand.joint_names)]
+    joints = grasps.joints[:, side, 0, : len(hand.joint_names)]
     balls = hand_points(hand, joints).sphere @ np.swapaxes(pregrasp.rot, -1, -2)
     below = np.max(hand.sphere_radius - balls[..., 2], axis=1)[:, None]
     palm = pregrasp.rot @ hand.T_hand_palm[:3, :3]
     up = np.broadcast_to([[0.0, 0.0, 1.0]], (len(palm), 1, 3))
     away = rule.standoff * np.concatenate([_BACK @ np.swapaxes(palm, -1, -2), up], axis=1)
     every = Poses(pregrasp.pos[:, None], pregrasp.quat_wxyz[:, None])
-    back = stand_off(every, away, below, rule.lowest).pos
+    back = stand_off(every, away, np.broadcast_to(below, away.shape[:2]), rule.lowest).pos
     room, start = room_of_ways(around, side, pregrasp.pos, pregrasp.rot, back - every.pos, _CHECKS)
     # An overlap of the pre-grasp is the grasp's own.
     room = np.minimum(room - np.minimum(start, 0.0), 0.0)

@@ -127,7 +127,7 @@ _ALL = (
     _f("ik_error_pos", "float32", "H K", "m", "world", "arms", "arms", "distance of the hand frame, at the stored angles, from where the grasp has it; NaN at home"),
     _f("ik_error_rot", "float32", "H K", "rad", "world", "arms", "arms", "angle between the same"),
     _f("arm_step", "float32", "", "rad", "", "arms", "arms", "largest turn of a joint from knot to knot"),
-    _f("clear_table", "float32", "", "m", "", "arms", "arms", "least signed distance from arms to the table over the motion, by MuJoCo; larger ones than 0.05 m are that"),
+    _f("clear_table", "float32", "", "m", "", "arms", "arms", "least signed distance from arms to the table at the knots of the motion that MuJoCo was asked about; larger ones than 0.02 m are that"),
     _f("clear_object", "float32", "", "m", "", "arms", "arms", "the same to the object: of arms always, of hands until they close"),
     _f("clear_arms", "float32", "", "m", "", "arms", "arms", "the same between the two arms with their hands"),
     _f("clear_self", "float32", "", "m", "", "arms", "arms", "the same between links of one arm, and to the rig's fixtures"),

@@ -1,0 +1,135 @@
+"""Laws of motions: what is stored reaches the grasp, steadily, and depends on nothing else."""
+
+from __future__ import annotations
+
+from math import radians
+
+import numpy as np
+import pytest
+
+from bidexdata.arms import ArmConfig, Targets
+from bidexdata.arms.chain import chain_forward
+from bidexdata.arms.config import PathConfig, SearchConfig
+from bidexdata.arms.generic_pairs import draw_pairs, shape_grid
+from bidexdata.arms.solutions import ArmSolutions
+from bidexdata.arms.solve import solve_arms, solve_scenes
+from bidexdata.frames import invert, quat_angle, quat_from_matrix
+from bidexdata.record.status import Status
+
+CONFIG = ArmConfig(path=PathConfig(knots=(24, 4, 4, 2, 4)), search=SearchConfig(nodes=32))
+POS, ROT, STEP = 1e-3, radians(0.5), 0.2  # what the issue asks for
+
+
+def targets(robot, size: float = 0.3, count: int = 8, seed: int = 1) -> list[Targets]:
+    """Palms round generic shapes on the table, one scene each; hands open, a centimetre outside."""
+    pairs = draw_pairs(size, count, np.random.default_rng(seed))
+    widest = max(len(hand.joint_names) for hand in robot.hands)
+    made = []
+    for n in range(count):
+        pos, quat = np.zeros((1, 2, 3, 3)), np.zeros((1, 2, 3, 4))
+        for h, hand in enumerate(robot.hands):
+            T = invert(hand.T_hand_palm)
+            R = pairs.palm_rot[n, h] @ T[:3, :3]
+            at = pairs.palm_pos[n, h] + pairs.palm_rot[n, h] @ T[:3, 3]
+            back = -0.01 * pairs.palm_rot[n, h][:, 2]
+            pos[0, h] = [at + 2 * back, at + back, at]
+            quat[0, h] = quat_from_matrix(R)
+        object_quat = quat_from_matrix(pairs.object_rot[n])
+        made.append(
+            Targets(pairs.object_pos[n], object_quat, size, pos, quat, np.zeros((1, 2, 3, widest)))
+        )
+    return made
+
+
+def solved(robot, scenes: list[Targets], config: ArmConfig = CONFIG) -> ArmSolutions:
+    found = [solve_arms(robot, None, None, one, config) for one in scenes]
+    return ArmSolutions(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
+
+
+def assert_same(a: ArmSolutions, b: ArmSolutions) -> None:
+    for name, values in a._asdict().items():
+        np.testing.assert_array_equal(values, getattr(b, name), err_msg=name)
+
+
+@pytest.fixture(scope="module")
+def found(made) -> tuple[list[Targets], ArmSolutions]:
+    scenes = targets(made)
+    return scenes, solved(made, scenes)
+
+
+def test_stored_angles_bring_the_hands_to_the_key_frames(made, found):
+    scenes, motions = found
+    assert motions.ok.sum() >= 3
+    columns = motions.to_columns()
+    for n in np.flatnonzero(motions.ok):
+        for h, arm in enumerate(made.arms):
+            q = columns["arm_joints"][n, h].astype(float)
+            pos, rot = chain_forward(arm.chain, q)
+            for frame, stage in ((2, 0), (3, 1), (4, 2)):
+                off = np.linalg.norm(pos[frame] - scenes[n].hand_pos[0, h, stage])
+                turn = quat_angle(
+                    quat_from_matrix(rot[None, frame]), scenes[n].hand_quat_wxyz[:, h, stage]
+                )
+                assert off < POS
+                assert turn < ROT
+            lift = pos[5] - pos[4]
+            np.testing.assert_allclose(lift, [0, 0, CONFIG.path.lift], atol=2 * POS)
+    assert np.nanmax(motions.ik_error_pos) < POS
+    assert np.nanmax(motions.ik_error_rot) < ROT
+
+
+def test_motions_begin_at_home_stay_in_the_limits_and_take_no_large_step(made, found):
+    _scenes, motions = found
+    columns = motions.to_columns()
+    ends = np.cumsum([0, *CONFIG.path.knots])
+    for n in np.flatnonzero(motions.ok):
+        path, time = columns["arm_path"][n], columns["arm_time"][n]
+        assert np.all(np.diff(time) > 0)
+        assert np.abs(np.diff(path, axis=1)).max() <= STEP
+        np.testing.assert_array_equal(path[:, ends], columns["arm_joints"][n])
+        for h, arm in enumerate(made.arms):
+            np.testing.assert_array_equal(path[h, 0], arm.chain.rest.astype(np.float32))
+            assert np.all(path[h] >= arm.chain.lower - 1e-6)
+            assert np.all(path[h] <= arm.chain.upper + 1e-6)
+            speed = np.abs(np.diff(path[h], axis=0)) / np.diff(time)[:, None]
+            assert np.all(speed <= CONFIG.path.speed * arm.chain.velocity * 1.001)
+
+
+def test_a_grasp_out_of_reach_cannot_be_reached_and_has_no_motion(made):
+    far = [one._replace(hand_pos=one.hand_pos + np.array([2.0, 0, 0])) for one in targets(made)[:2]]
+    motions = solved(made, far)
+    assert set(motions.arm_status) == {Status.IK_GRASP}
+    assert np.isnan(motions.arm_path).all()
+
+
+def test_rows_without_a_grasp_are_not_asked_about(made):
+    one = targets(made)[0]
+    motions = solve_arms(made, None, None, one._replace(hand_pos=one.hand_pos * np.nan), CONFIG)
+    assert motions.arm_status.tolist() == [Status.NO_GRASP]
+
+
+def test_an_object_in_the_way_is_named(made):
+    # The arms' own links lie in an object of three metres.
+    one = targets(made)[0]._replace(size=3.0)
+    motions = solve_arms(made, shape_grid(0), None, one, CONFIG)
+    assert motions.arm_status.tolist() == [Status.COLLISION_OBJECT]
+
+
+def test_a_grasp_does_not_depend_on_those_beside_it(made, found):
+    scenes, motions = found
+    together = solve_scenes(made, None, None, scenes[::-1], CONFIG)
+    for n, one in enumerate(together[::-1]):
+        assert_same(one, motions.select(slice(n, n + 1)))
+
+
+def test_the_same_grasp_has_the_same_motion_twice(made, found):
+    scenes, motions = found
+    assert_same(solved(made, scenes), motions)
+
+
+def test_no_grasps_have_no_motions(made):
+    one = targets(made, count=1)[0]
+    none = one._replace(hand_pos=one.hand_pos[:0], hand_quat_wxyz=one.hand_quat_wxyz[:0],
+                        joints=one.joints[:0])  # fmt: skip
+    assert len(solve_arms(made, None, None, none, CONFIG).arm_status) == 0
+    assert solve_scenes(made, None, None, [], CONFIG) == []
