@@ -166,7 +166,8 @@ def find_candidates(
     made.q[:, :, g] = np.where((gate > 0)[:, :, None], q, np.nan)
     _follow_all(made, arm, way, around, away, config, device)
     best = np.lexsort((made.cost, -made.room, -made.gate), axis=1)
-    best = np.where(made.free.any(axis=1)[:, None], np.argsort(made.cost, 1, kind="stable"), best)
+    some_free = np.any(made.free, axis=1, keepdims=True)
+    best = np.where(some_free, np.argsort(made.cost, 1, kind="stable"), best)
     best = best[:, : config.search.kept]
     return Candidates(
         *(np.take_along_axis(x, best.reshape(*best.shape, *[1] * (x.ndim - 2)), axis=1)
