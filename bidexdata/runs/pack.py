@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
-from bidexdata.config import to_plain
+from bidexdata.config import differing_keys, to_plain
 from bidexdata.errors import NotUsable
 from bidexdata.record import GraspBatch
 from bidexdata.record.fields import columns_written_by

@@ -46,7 +46,6 @@ from bidexdata.runs.arm_folder import (
     rig_name,
     rigs_in,
     split_folder_name,
-    verdict_folder_name,
 )
 from bidexdata.runs.plan import Task, read_plan
 from bidexdata.runs.shards import done_tasks, read_shard, shard_path

@@ -19,7 +19,7 @@ PACKAGE = ROOT / "bidexdata"
 FLOORS = [
     {
         *("frames", "errors", "extras", "config", "devices", "engine_log", "kinds", "temporaries"),
-        "wording",
+        *("wording", "yaml_lines"),
     },
     {"wrench", "record"},
     {"objects", "hands"},
@@ -35,6 +35,8 @@ FLOORS = [
 ]
 SAME_FLOOR = {
     ("config", "errors"),
+    ("config", "yaml_lines"),
+    ("yaml_lines", "errors"),
     ("devices", "errors"),
     ("extras", "errors"),
     ("kinds", "errors"),
