@@ -46,6 +46,7 @@ from bidexdata.runs.arm_folder import (
     rig_name,
     rigs_in,
     split_folder_name,
+    verdict_folder_name,
 )
 from bidexdata.runs.plan import Task, read_plan
 from bidexdata.runs.shards import done_tasks, read_shard, shard_path
@@ -260,7 +261,10 @@ class Run:
     def stage_folder(self, stage: str, protocol: str = "", test: str = "") -> Path:
         """Folder of a stage's shards: `rows`, `arms`, or `validate` with a protocol and a test."""
         if stage == "validate":
-            return self.path / stage / protocol / test
+            rig = self.rig if test in WITH_ARMS else ""
+            return self.path / stage / protocol / verdict_folder_name(test, rig)
+        if stage == "arms":
+            return self.arms_folder()
         own = self.spec.kind if self.spec.kind in ("synth", "generated") else "import"
         return self.path / own
 

@@ -69,7 +69,8 @@ def _solve(robot, grasp, found, row, config) -> None:
     knots, path = config.path.knots, config.path
     for h, arm in enumerate(robot.arms):
         pre, at, end = (Poses(grasp.hand_pos[h, s], grasp.hand_quat[h, s]) for s in range(3))
-        off = stand_off(pre, robot.hands[h].T_hand_palm, path.standoff, path.lowest)
+        away = -path.standoff * pre.rot @ robot.hands[h].T_hand_palm[:3, 2]
+        off = stand_off(pre, away, np.zeros(()), path.lowest)
         back = _joined(line(at, pre, knots[2]), line(pre, off, knots[1]))
         on = _joined(line(at, end, knots[3]), line(end, lifted(end, path.lift), knots[4]))
         solved = solve_ik(arm.chain, at.pos[None], at.rot[None], IkConfig(starts=32))

@@ -136,3 +136,13 @@ class Made:
 
     def hands(self):
         return self._hands
+
+    @property
+    def rig(self):
+        return ""
+
+    def arms(self, object_id):
+        return None
+
+    def robot(self):
+        return None
