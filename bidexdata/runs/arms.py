@@ -133,16 +133,16 @@ def arm_columns(
         many rows have a grasp. Rows without one get status NO_GRASP.
     """
     from bidexdata.arms.solutions import arm_headers, no_solutions
-    from bidexdata.arms.solve import solve_arms
+    from bidexdata.arms.solve import solve_scenes
     from bidexdata.validation.validate import statuses_before
 
     columns = no_solutions(robot, config, len(batch)).to_columns()
     rows = np.flatnonzero(statuses_before(batch, robot.hands) == Status.OK)
-    for some in _of_one_scene(batch, rows):
-        targets = targets_of(batch, some)
-        arms = scenes.at(targets.size) if scenes is not None else None
-        found = solve_arms(robot, field, arms, targets, config, device=device).to_columns()
-        for name, values in found.items():
+    parts = _of_one_scene(batch, rows)
+    targets = [targets_of(batch, some) for some in parts]
+    found = solve_scenes(robot, field, scenes, targets, config, device=device)
+    for some, motions in zip(parts, found, strict=True):
+        for name, values in motions.to_columns().items():
             columns[name][some] = values
     header = dataclasses.replace(batch.header, counts={}, arms=arm_headers(robot, config))
     ordered = {name: columns[name] for name in columns_written_by("arms")}
@@ -190,7 +190,7 @@ def heaviest_object(run: Run) -> float:
     kind, value = weight_of_run(run.spec) or ("density", SceneSettings().density)
     if kind == "mass":
         return value
-    if run.spec.kind == "release":
+    if run.spec.of_release:
         return HEAVIEST
     largest: dict[str, int] = {}
     for task in run.tasks:
@@ -309,7 +309,7 @@ def _object(
     run = open_unchanged(run_path, run_fingerprint, rig)
     robot, _ = _robot_and_config(run_path, run_fingerprint, rig, mark)
     solid: Solid
-    if run.spec.kind == "release":
+    if run.spec.of_release:
         solid = run.load_solid(object_id)
         field = grid_of_pieces(solid.pieces)
     else:

@@ -16,7 +16,6 @@ from typing import Any, Literal
 from bidexdata.config import OMIT_NONE, from_plain, load_yaml, merge, to_plain
 from bidexdata.errors import BadConfig, NotUsable, PathNotFound, UnknownName
 from bidexdata.record.fields import DIRECTIONS, JUDGED, WITH_ARMS
-from bidexdata.record.settings import settings_of_test
 from bidexdata.simulation.settings import SceneSettings
 
 from .arm_rules import ArmRules
@@ -234,11 +233,6 @@ def without_arms(protocol: Protocol) -> Protocol:
     if not tests:
         raise NotUsable(f"protocol {protocol.name!r} has no test without arms")
     return replace(protocol, tests=tests, arm=None)
-
-
-def protocol_mark(protocol: Protocol, test: str) -> dict[str, Any]:
-    """Give what verdicts of one test depend on, as plain data; see `record.settings`."""
-    return settings_of_test(to_plain(protocol), test)
 
 
 def protocol_names() -> tuple[str, ...]:

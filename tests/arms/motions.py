@@ -65,6 +65,11 @@ def solve_arms(robot, field, scenes, targets, config, device="cpu"):
     return found
 
 
+def solve_scenes(robot, field, scenes, targets, config, device="cpu"):
+    """`solve_arms` of each scene."""
+    return [solve_arms(robot, field, scenes, one, config, device) for one in targets]
+
+
 def _solve(robot, grasp, found, row, config) -> None:
     knots, path = config.path.knots, config.path
     for h, arm in enumerate(robot.arms):

@@ -53,7 +53,7 @@ def solver(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """In place of the solver: what it gives follows from the targets alone; counts its calls."""
     calls: list[int] = []
 
-    def solve_arms(robot, field, scenes, targets, config, device="cpu"):
+    def solved(robot, targets, config):
         n = len(targets.hand_pos)
         calls.append(n)
         found = no_solutions(robot, config, n, Status.IK_GRASP)
@@ -63,7 +63,9 @@ def solver(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         return found
 
     module = types.ModuleType("bidexdata.arms.solve")
-    module.solve_arms = solve_arms
+    module.solve_scenes = lambda robot, field, scenes, targets, config, device="cpu": [
+        solved(robot, one, config) for one in targets
+    ]
     monkeypatch.setitem(sys.modules, "bidexdata.arms.solve", module)
     return calls
 
@@ -235,9 +237,9 @@ def test_the_command_ends_with_6_where_nothing_is_reachable(
     run: Run, rig: Path, capsys, monkeypatch
 ):
     def none(robot, field, scenes, targets, config, device="cpu"):
-        return no_solutions(robot, config, len(targets.hand_pos), Status.IK_GRASP)
+        return [no_solutions(robot, config, len(t.hand_pos), Status.IK_GRASP) for t in targets]
 
-    monkeypatch.setattr(sys.modules["bidexdata.arms.solve"], "solve_arms", none)
+    monkeypatch.setattr(sys.modules["bidexdata.arms.solve"], "solve_scenes", none)
     command = ["arms", str(run.path), "--rig", str(rig), "--executor", "inline", "--quiet"]
     assert [bidexdata(command) for _ in range(2)] == [6, 6]
     assert "can take not one grasp" in capsys.readouterr().err

@@ -31,7 +31,7 @@ PAPER = load_protocol("paper-1")
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A run of one object whose first task alone has motions, all its tests done."""
-    from motions import solve_arms
+    from motions import solve_scenes
 
     folder = tmp_path_factory.mktemp("armed")
     library = folder / "library"
@@ -39,7 +39,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
                       "--executor", "inline", "--quiet"]) == 0  # fmt: skip
     run = made_run(library, folder / "run", sizes=(300,))
     module = types.ModuleType("bidexdata.arms.solve")
-    module.solve_arms = solve_arms
+    module.solve_scenes = solve_scenes
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(sys.modules, "bidexdata.arms.solve", module)
         validate_run(run, without_arms(PAPER), execution=INLINE)  # before there are arms

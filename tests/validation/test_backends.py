@@ -12,6 +12,7 @@ from grasps import batch_of, squeeze
 
 from bidexdata.config import fingerprint, from_plain, to_plain
 from bidexdata.errors import BadConfig, MissingExtra, NotUsable, UnknownName
+from bidexdata.record.settings import settings_of_test
 from bidexdata.validation import (
     Execution,
     Protocol,
@@ -21,7 +22,7 @@ from bidexdata.validation import (
     protocol_names,
     validate_grasps,
 )
-from bidexdata.validation.protocols import Engine, protocol_mark, require_own_name, without_arms
+from bidexdata.validation.protocols import Engine, require_own_name, without_arms
 
 PAPER = load_protocol("paper-1")
 HERE = Engine(device="cuda", mujoco_warp="4.0.0", warp="1.19.0")
@@ -59,7 +60,7 @@ def test_the_settings_of_a_published_protocol_and_their_hash_are_what_they_were(
     assert protocol.engine is None
     assert "engine" not in to_plain(protocol)
     for test in ("f", "l"):
-        assert fingerprint(protocol_mark(protocol, test)) == PRINTS[name]
+        assert fingerprint(settings_of_test(to_plain(protocol), test)) == PRINTS[name]
     assert fingerprint(without_arms(protocol)) == PRINTS[name]
     assert on_backend(protocol, "mujoco") is protocol
 
