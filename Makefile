@@ -32,6 +32,9 @@ $(TOOLS): $(STAMP)
 demo: $(STAMP) ## the whole pipeline on built-in objects with the built-in hand, into demo/
 	$(BIN)/bidexdata demo --out demo
 
+# A test process is one core's work: threads of native libraries would only wait in loops.
+test test-all: export OMP_NUM_THREADS ?= 1
+
 test: $(TOOLS) ## the tests; under 10 minutes on 2 cores
 	$(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist loadfile tests
 

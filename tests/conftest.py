@@ -7,6 +7,7 @@ optional: tests that need it skip and say so.
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from pathlib import Path
@@ -31,6 +32,16 @@ install_import_hook(_checked_modules(), "beartype.beartype")
 # processes that tests interrupt would inherit.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# What modules and the list of tests are made of stays to the end: it is looked through for garbage
+# neither while it is made nor ever after.
+gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
+
 
 # Time limits belong to no test: a busy machine breaks no law.
 settings.register_profile("untimed", deadline=None)

@@ -1,12 +1,16 @@
 """Laws of what a selection looks at: analytic bodies, invariance, telling shapes apart."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 import trimesh
 
 from bidexdata.frames import matrix_from_quat, random_quat
-from bidexdata.objects.prepare import prepare_object
+from bidexdata.objects.config import SurfaceConfig
 from bidexdata.objects.prepared import TriangleMesh
+from bidexdata.objects.sources.shapes import shape_mesh
+from bidexdata.objects.surface import surface_points
 from bidexdata.objects.traits import descriptor, mesh_hash, traits, unlikeness
 
 rng = np.random.default_rng(10)
@@ -54,9 +58,20 @@ def turned(mesh, R, scale, shift):
     return TriangleMesh(scale * mesh.vertices @ R.T + shift, mesh.faces)
 
 
+class Shape(NamedTuple):
+    """A built-in shape and the points that preparing draws on it."""
+
+    solid: TriangleMesh
+    surface_points: np.ndarray
+
+
 @pytest.fixture(scope="module")
 def shapes():
-    return {family: prepare_object(f"shapes:{family}") for family in FAMILIES}
+    found = {}
+    for family in FAMILIES:
+        solid = mesh_of(shape_mesh(f"{family}/0"))
+        found[family] = Shape(solid, surface_points(solid, SurfaceConfig())[0])
+    return found
 
 
 def test_a_descriptor_is_the_same_for_a_turned_moved_scaled_and_newly_sampled_shape(shapes):
