@@ -32,7 +32,9 @@ from bidexdata.record import FIELDS, GraspBatch, Status
 from bidexdata.record.fields import columns_written_by
 from bidexdata.record.scene import Scene
 from bidexdata.runs.plan import Round, Task, write_plan
-from bidexdata.runs.run import PLAN_FILE, PROTOCOL_FILE, verdict_batch, verdict_fingerprint
+from bidexdata.runs.run import verdict_fingerprint
+from bidexdata.runs.run_folder import PLAN_FILE, PROTOCOL_FILE
+from bidexdata.runs.run_rows import verdict_batch
 from bidexdata.runs.shards import shard_path, write_shard, write_text
 from bidexdata.runs.spec import RunSpec, relative_to_run, write_spec
 from bidexdata.validation.protocols import load_protocol, protocol_from

@@ -10,6 +10,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -50,6 +51,17 @@ settings.load_profile("untimed")
 SHARED = ROOT.parent / "shared"
 if (SHARED / "menagerie").is_dir():
     os.environ.setdefault("MENAGERIE_ROOT", str(SHARED / "menagerie"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def shown_on_cards() -> Iterator[int]:
+    """How many grasps a card shows; in tests it is one, as drawing is most of a small pack."""
+    from bidexdata.runs import release_pictures
+
+    with pytest.MonkeyPatch.context() as patch:
+        shown = release_pictures.SHOWN
+        patch.setattr(release_pictures, "SHOWN", 1)
+        yield shown
 
 
 @pytest.fixture(scope="session")

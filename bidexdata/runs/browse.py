@@ -199,7 +199,7 @@ class RunSource:
 
     def grasps(self, object_id: str, test: str = "") -> GraspBatch | None:
         """Rows of the tasks that are done by now; those not yet validated say so in every row."""
-        from bidexdata.runs.run import join_tasks
+        from bidexdata.runs.run_rows import join_tasks
 
         found, test = [], test or self.test
         for task in self.run.tasks_of(object_id):
@@ -226,7 +226,7 @@ class RunSource:
 
     def arms(self, object_id: str) -> GraspBatch | None:
         """Rows of the tasks whose arms are solved by now."""
-        from bidexdata.runs.run import join_tasks
+        from bidexdata.runs.run_rows import join_tasks
 
         tasks = [t for t in self.run.tasks_of(object_id) if self.run.is_armed(t)]
         found = [self.run.task_arms(t, self.run.task_batch(t)) for t in tasks]

@@ -24,7 +24,8 @@ from bidexdata.record.fields import SIDES
 from bidexdata.record.scene import Setting, scene_parts
 from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.plan import Task, write_plan
-from bidexdata.runs.run import PLAN_FILE, Run, refuse_foreign
+from bidexdata.runs.run import Run
+from bidexdata.runs.run_folder import PLAN_FILE, refuse_foreign
 from bidexdata.runs.shards import shard_path, write_shard
 from bidexdata.runs.spec import RunSpec, portable_hand, relative_to_run, write_spec
 from bidexdata.synthesis.attempts import grasp_ids

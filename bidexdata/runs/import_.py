@@ -42,7 +42,8 @@ from bidexdata.runs.import_scan import (
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.plan import Task, read_plan, write_plan
-from bidexdata.runs.run import PLAN_FILE, Run, open_unchanged, refuse_foreign
+from bidexdata.runs.run import Run, open_unchanged
+from bidexdata.runs.run_folder import PLAN_FILE, refuse_foreign
 from bidexdata.runs.shards import done_tasks, shard_path, sweep, write_shard
 from bidexdata.runs.spec import (
     RunSpec,

@@ -18,7 +18,8 @@ from bidexdata.runs.chosen import DEFAULT_PROTOCOL, chosen_protocol
 from bidexdata.runs.finished import Finished, Test
 from bidexdata.runs.pack_objects import in_processes
 from bidexdata.runs.progress import Progress
-from bidexdata.runs.run import Run, join_tasks
+from bidexdata.runs.run import Run
+from bidexdata.runs.run_rows import join_tasks
 from bidexdata.runs.shards import read_mark, shard_path
 from bidexdata.synthesis.method_names import DEFAULT_METHOD
 from bidexdata.wording import counted

@@ -16,7 +16,8 @@ from bidexdata.record import FIELDS, GraspBatch
 from bidexdata.record.scene import Setting
 from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.plan import Round, Task, write_plan
-from bidexdata.runs.run import PLAN_FILE, Run, refuse_foreign
+from bidexdata.runs.run import Run
+from bidexdata.runs.run_folder import PLAN_FILE, refuse_foreign
 from bidexdata.runs.shards import shard_path, write_shard
 from bidexdata.runs.spec import RunSpec, relative_to_run, write_spec
 

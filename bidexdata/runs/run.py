@@ -1,66 +1,61 @@
 """Run: a folder of grasps in the making; what it is, how far it is, and its rows.
 
-Layout: run.json, tasks.parquet, `synth/` (or `import/`, `generated/`) shards with all columns so far,
-`validate/<protocol>/<test>/` shards with `grasp_id` and verdict columns beside the protocol's
-settings in `validate/<protocol>/protocol.json`, `arms/<rig>/` shards with `grasp_id` and the arms'
-motion beside `rig.json`, `logs/`. Rows of later stages have the order of the first stage's; reading
-joins by position and checks the ids. Verdicts of tests with arms lie in
-`validate/<protocol>/a-<rig>/`; a run is opened for one rig and sees those of that rig alone.
+`run_folder.py` says where things lie. Rows of later stages have the order of the first stage's;
+reading joins by position and checks the ids. A run is opened for one rig and sees the verdicts with
+arms of that rig alone.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import json
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bidexdata.config import fingerprint, to_plain
-from bidexdata.errors import (
-    BidexError,
-    ConfigConflict,
-    Contradiction,
-    NotUsable,
-    PathNotFound,
-    SourceChanged,
-    UnknownName,
-)
-from bidexdata.kinds import MANIFEST, RUN_FILE, expect_kind
-from bidexdata.record import FIELDS, GraspBatch, Header
-from bidexdata.record.fields import TESTS, WITH_ARMS, columns_written_by
+from bidexdata.errors import NotUsable, PathNotFound, UnknownName
+from bidexdata.kinds import expect_kind
+from bidexdata.record import GraspBatch
+from bidexdata.record.fields import WITH_ARMS
 from bidexdata.record.settings import settings_of_test
 from bidexdata.runs.arm_folder import (
     RIG_FILE,
     arms_folder,
-    check_robot,
     chosen_rig,
-    known_spheres,
     read_record,
-    resolve_spec,
     rig_name,
     rigs_in,
-    split_folder_name,
-    verdict_folder_name,
 )
 from bidexdata.runs.plan import Task, read_plan
+from bidexdata.runs.run_folder import (
+    PLAN_FILE,
+    protocol_file,
+    rows_folder,
+    stored_protocol,
+    verdict_folder,
+    verdict_folders,
+)
+from bidexdata.runs.run_rows import columns_beside
+from bidexdata.runs.run_source import (
+    check_release,
+    hands_of,
+    open_library,
+    robot_of,
+    source_folder,
+)
 from bidexdata.runs.shards import done_tasks, read_shard, shard_path
 from bidexdata.runs.spec import RunSpec, read_spec
 
 if TYPE_CHECKING:
     from bidexdata.arms.robot import Robot
-    from bidexdata.hands import Hand, Side
+    from bidexdata.hands import Hand
     from bidexdata.objects.library import Library
     from bidexdata.objects.prepared import Solid
     from bidexdata.validation.protocols import Protocol
-
-PLAN_FILE = "tasks.parquet"
-PROTOCOL_FILE = "protocol.json"
 
 
 @dataclass(frozen=True)
@@ -186,13 +181,7 @@ class Run:
             PathNotFound: It is not where run.json says.
             SourceChanged: It has changed since.
         """
-        from bidexdata.objects.library import Library
-
-        library = Library.open(self._source())
-        if library.fingerprint != self.spec.source_fingerprint:
-            change = f"{self.spec.source_fingerprint!r} -> {library.fingerprint!r}"
-            raise SourceChanged(self.path, library.path, change)
-        return library
+        return open_library(self.path, self.spec)
 
     def check_source(self) -> None:
         """Refuse to go on where what the run was made of has changed.
@@ -201,23 +190,17 @@ class Run:
             PathNotFound: The library, or the release that is re-tested, is not where run.json says.
             SourceChanged: It is there and holds something else.
         """
-        if not self.spec.of_release:
+        if self.spec.of_release:
+            check_release(self.path, self.spec)
+        else:
             _ = self.library
-            return
-        from bidexdata.formats.manifest import sha256_of
-
-        source = self._source()
-        found = sha256_of(source / MANIFEST)[:16]
-        if found != self.spec.source_fingerprint:
-            change = f"{self.spec.source_fingerprint!r} -> {found!r}"
-            raise SourceChanged(self.path, source, change, "release")
 
     def load_solid(self, object_id: str) -> Solid:
         """Load an object of the run from its library (or from the release it re-tests)."""
         if self.spec.of_release:
             from bidexdata.formats.release import Release
 
-            return Release.open(self._source()).load_solid(object_id)
+            return Release.open(source_folder(self.path, self.spec)).load_solid(object_id)
         return self.library.load_solid(object_id)
 
     def hands(self, *, drawn: bool = False) -> tuple[Hand, ...]:
@@ -229,18 +212,7 @@ class Run:
         Raises:
             ConfigConflict: A hand's spec or files have changed since the run was made.
         """
-        from bidexdata.hands import load_drawn, load_hand
-
-        load = load_drawn if drawn else load_hand
-        names = [resolve_spec(n.strip(), self.path) for n in self.spec.hand.split(",")]
-        hands = []
-        for number, header in enumerate(self.spec.hands):
-            hand = load(names[min(number, len(names) - 1)], cast("Side", header.side))
-            if hand.spec_hash != header.spec_hash:
-                change = f"{header.spec_hash[:12]!r} -> {hand.spec_hash[:12]!r}"
-                raise ConfigConflict(self.path, [f"hands.{header.side}.spec_hash: {change}"])
-            hands.append(hand)
-        return tuple(hands)
+        return hands_of(self.path, self.spec, drawn=drawn)
 
     def robot(self) -> Robot:
         """Load the rig that is meant with the run's hands, as the arm solutions were made with.
@@ -249,24 +221,16 @@ class Run:
             NotUsable: The run has no arm solutions, or the rig's models cannot be had.
             ConfigConflict: The rig, its models or a hand have changed since.
         """
-        from bidexdata.arms.registry import load_rig
-        from bidexdata.arms.robot import mount_robot
-
-        record = read_record(self.path, self._rig_needed())
-        known = partial(known_spheres, self.path, record.name)
-        robot = mount_robot(load_rig(resolve_spec(record.rig, self.path)), self.hands(), known)
-        check_robot(self.path, record, robot)
-        return robot
+        return robot_of(self.path, self._rig_needed(), self.hands())
 
     def stage_folder(self, stage: str, protocol: str = "", test: str = "") -> Path:
         """Folder of a stage's shards: `rows`, `arms`, or `validate` with a protocol and a test."""
         if stage == "validate":
             rig = self.rig if test in WITH_ARMS else ""
-            return self.path / stage / protocol / verdict_folder_name(test, rig)
+            return verdict_folder(self.path, protocol, test, rig)
         if stage == "arms":
             return self.arms_folder()
-        own = self.spec.kind if self.spec.kind in ("synth", "generated") else "import"
-        return self.path / own
+        return rows_folder(self.path, self.spec.kind)
 
     def arms_folder(self) -> Path:
         """Folder of the arm solutions of the rig that is meant.
@@ -277,17 +241,8 @@ class Run:
         return arms_folder(self.path, self._rig_needed())
 
     def verdict_folders(self) -> dict[tuple[str, str], Path]:
-        """Folders of verdicts per protocol and test, in their order; with arms, of the run's rig.
-
-        Nothing else looks into the folder `validate`.
-        """
-        found = {}
-        for folder in sorted(f for f in (self.path / "validate").glob("*/*") if f.is_dir()):
-            test, rig = split_folder_name(folder.name)
-            if not rig or rig == self.rig:
-                found[folder.parent.name, test] = folder
-        order = {test: place for place, test in enumerate(TESTS)}
-        return dict(sorted(found.items(), key=lambda f: (f[0][0], order.get(f[0][1], len(order)))))
+        """Folders of verdicts per protocol and test, in their order; with arms, of the run's rig."""
+        return verdict_folders(self.path, self.rig)
 
     def verdict_tests(self) -> list[tuple[str, str]]:
         """The (protocol, test) pairs that have shards."""
@@ -338,10 +293,8 @@ class Run:
             Contradiction: The shard is damaged, or its ids are not those of the rows.
         """
         path = shard_path(self.stage_folder("validate", protocol, test), task.task_id)
-        joined = GraspBatch.from_arrow(read_shard(path, self._verdict_mark(protocol, test)))
-        _same_rows(path, joined, batch)
-        names = [n for n in joined.columns if FIELDS[n].written_by == "validate"]
-        return {n: joined[n] for n in names}
+        mark = self._verdict_mark(protocol, test)
+        return columns_beside(path, mark, batch, "validate")[0]
 
     def task_arms(self, task: Task, batch: GraspBatch) -> GraspBatch:
         """Join the rows of one task with their arm solutions.
@@ -356,11 +309,9 @@ class Run:
             Contradiction: The shard is damaged, or its ids are not those of the rows.
         """
         path = shard_path(self.arms_folder(), task.task_id)
-        joined = GraspBatch.from_arrow(read_shard(path, self.arms_mark()))
-        _same_rows(path, joined, batch)
-        names = [n for n in joined.columns if FIELDS[n].written_by == "arms"]
-        header = dataclasses.replace(batch.header, arms=joined.header.arms)
-        return GraspBatch(header, {**batch.columns, **{n: joined[n] for n in names}})
+        columns, joined = columns_beside(path, self.arms_mark(), batch, "arms")
+        header = dataclasses.replace(batch.header, arms=joined.arms)
+        return GraspBatch(header, {**batch.columns, **columns})
 
     def arms_mark(self) -> str:
         """What the shards of arm solutions carry: the run, the robot and the configuration."""
@@ -403,17 +354,7 @@ class Run:
             PathNotFound: The run has none of it, and no protocol is called so.
             Contradiction: Its file is damaged.
         """
-        from bidexdata.validation.protocols import load_protocol, protocol_from, protocol_names
-
-        path = self.path / "validate" / name / PROTOCOL_FILE
-        if not path.is_file():
-            if name in protocol_names():
-                return load_protocol(name)
-            raise PathNotFound(path, "the settings of the protocol that `validate` stores")
-        try:
-            return protocol_from(json.loads(path.read_text(encoding="utf-8")), str(path))
-        except (ValueError, BidexError) as err:
-            raise Contradiction(f"{path}: damaged protocol settings ({err})") from err
+        return stored_protocol(self.path, name)
 
     def _folder(self, protocol: str | None, test: str) -> Path:
         if protocol is None:
@@ -421,7 +362,7 @@ class Run:
         return self.stage_folder("validate", protocol, test)
 
     def _verdict_mark(self, protocol: str, test: str) -> str:
-        path = self.path / "validate" / protocol / PROTOCOL_FILE
+        path = protocol_file(self.path, protocol)
         stamp = path.stat().st_mtime_ns if path.is_file() else 0
         key = (protocol, test if test not in WITH_ARMS else f"{test} {self.arms_mark()}", stamp)
         if key not in self._marks:
@@ -442,43 +383,6 @@ class Run:
     @cached_property
     def _marks(self) -> dict[tuple[str, str, int], str]:
         return {}  # a run has thousands of shards of one protocol
-
-    def _source(self) -> Path:
-        path = (self.path / self.spec.source).resolve()
-        if not path.is_dir():
-            wanted = "the release" if self.spec.of_release else "the library"
-            raise PathNotFound(path, f"{wanted} that {self.path / RUN_FILE} names")
-        return path
-
-
-def refuse_foreign(out: Path, *own: str) -> None:
-    """Refuse to start a run in a folder that holds something else.
-
-    What a killed start leaves is no obstacle: a plan, temporary files, and the folders `own`.
-
-    Raises:
-        NotUsable: `out` is a file, or holds something else.
-    """
-    if not out.exists():
-        return
-    left = {PLAN_FILE, *own}
-    if not out.is_dir() or any(
-        p.name not in left and not p.name.startswith(".") for p in out.iterdir()
-    ):
-        raise NotUsable(f"{out} exists and is no run; choose another --out")
-
-
-def join_tasks(batches: list[GraspBatch]) -> GraspBatch:
-    """Join tasks of one run; attempts of a scene in several rounds are added up."""
-    joined = GraspBatch.concat(batches)
-    counts: dict[str, Counter[str]] = {}
-    for batch in batches:
-        for scene, found in batch.header.counts.items():
-            counts.setdefault(scene, Counter()).update(found)
-    header = dataclasses.replace(
-        joined.header, counts={scene: dict(found) for scene, found in counts.items()}
-    )
-    return dataclasses.replace(joined, header=header)
 
 
 @lru_cache(maxsize=4)
@@ -504,17 +408,3 @@ def verdict_fingerprint(run: Run, protocol: Protocol, test: str) -> str:
     arms = [run.arms_mark()] if test in WITH_ARMS else []
     settings = settings_of_test(to_plain(protocol), test)
     return fingerprint([run.fingerprint, settings, test, *arms])
-
-
-def verdict_batch(
-    header: Header, grasp_id: np.ndarray, columns: Mapping[str, np.ndarray]
-) -> GraspBatch:
-    """What a validate shard holds: `grasp_id` and the verdict columns in table order."""
-    ordered = {n: columns[n] for n in columns_written_by("validate") if n in columns}
-    lean = dataclasses.replace(header, counts={})
-    return GraspBatch(lean, {"grasp_id": grasp_id, **ordered})
-
-
-def _same_rows(path: Path, joined: GraspBatch, batch: GraspBatch) -> None:
-    if not np.array_equal(joined["grasp_id"], batch["grasp_id"]):
-        raise Contradiction(f"{path}: its grasp ids are not those of the rows; delete it")

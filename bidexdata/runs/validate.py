@@ -23,13 +23,9 @@ from bidexdata.record.fields import ON_TABLE, WITH_ARMS
 from bidexdata.record.settings import differing_settings, fuller_settings
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.plan import Task
-from bidexdata.runs.run import (
-    PROTOCOL_FILE,
-    Run,
-    open_unchanged,
-    verdict_batch,
-    verdict_fingerprint,
-)
+from bidexdata.runs.run import Run, open_unchanged, verdict_fingerprint
+from bidexdata.runs.run_folder import PROTOCOL_FILE
+from bidexdata.runs.run_rows import verdict_batch
 from bidexdata.runs.shards import (
     check_mark,
     done_tasks,

@@ -27,7 +27,7 @@ from bidexdata.runs.finished import Finished
 from bidexdata.runs.library_report import TIMES
 from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.pack import rows_of_object
-from bidexdata.runs.run import join_tasks
+from bidexdata.runs.run_rows import join_tasks
 from bidexdata.runs.shards import done_tasks, read_shard, write_shard
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -65,7 +65,7 @@ def kill_after_first_shard(stage_folder: Path, *arguments: str | Path) -> None:
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pipeline") / "library"
     sources = "shapes:box,cylinder,sphere"
-    assert run(["prepare", sources, "--out", str(folder), "--workers", "2", "--quiet"]) == 0
+    assert run(["prepare", sources, "--out", str(folder), "--executor", "inline", "--quiet"]) == 0
     return folder
 
 
@@ -172,12 +172,13 @@ def test_killed_synth_and_validate_resume_to_the_bytes_of_an_undisturbed_run(
     whole: Path, library: Path
 ):
     folder = library.parent / "killed"
-    synth = ("synth", library, "--out", folder, *OPTIONS)
+    here = ("--executor", "inline", "--quiet")  # who goes on is another process all the same
+    synth = ("synth", str(library), "--out", str(folder), *OPTIONS)
     kill_after_first_shard(folder / "synth", *synth)
-    assert start(*synth).wait(300) == 0
-    validate = ("validate", folder)
+    assert run([*synth, *here]) == 0
+    validate = ("validate", str(folder))
     kill_after_first_shard(folder / "validate" / "paper-1" / "f", *validate)
-    assert start(*validate).wait(300) == 0
+    assert run([*validate, *here]) == 0
     assert files_of(folder) == files_of(whole)
 
 

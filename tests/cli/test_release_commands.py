@@ -14,6 +14,7 @@ from bidexdata.cli.main import run
 from bidexdata.formats.release import Release
 from bidexdata.formats.verify import verify_release
 from bidexdata.hands import load_hands
+from bidexdata.runs import release_pictures
 from bidexdata.runs.release_pictures import SHEET, card_pictures
 
 
@@ -97,7 +98,8 @@ def test_what_is_wrong_is_one_sentence(code, arguments, says, packed, tmp_path, 
     assert not (tmp_path / "x").exists()
 
 
-def test_the_card_has_a_picture_that_is_the_same_every_time(tmp_path):
+def test_the_card_has_a_picture_that_is_the_same_every_time(tmp_path, shown_on_cards, monkeypatch):
+    monkeypatch.setattr(release_pictures, "SHOWN", shown_on_cards)
     hands = load_hands("capsule")
     made = [
         made_release(tmp_path / name, OBJECTS[:2], hands=hands, pictures=card_pictures)

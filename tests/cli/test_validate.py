@@ -22,7 +22,9 @@ from bidexdata.errors import ConfigConflict, NotUsable, SourceChanged
 from bidexdata.pictures import sheet
 from bidexdata.runs import replay
 from bidexdata.runs.browse import open_browsable
-from bidexdata.runs.run import PROTOCOL_FILE, verdict_batch, verdict_fingerprint
+from bidexdata.runs.run import verdict_fingerprint
+from bidexdata.runs.run_folder import PROTOCOL_FILE
+from bidexdata.runs.run_rows import verdict_batch
 from bidexdata.runs.shards import read_mark, shard_path, write_shard
 from bidexdata.runs.validate import validate_run
 from bidexdata.validation import load_protocol

@@ -33,7 +33,7 @@ def test_an_example_runs_on_a_release_without_deprecation_warnings(path: Path, p
         text=True,
         check=False,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
-        timeout=120,
+        timeout=600,
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout

@@ -22,7 +22,8 @@ from bidexdata.record.fields import columns_written_by
 from bidexdata.runs.arms import arms_run
 from bidexdata.runs.finished import Finished
 from bidexdata.runs.info import describe
-from bidexdata.runs.run import Run, verdict_batch, verdict_fingerprint
+from bidexdata.runs.run import Run, verdict_fingerprint
+from bidexdata.runs.run_rows import verdict_batch
 from bidexdata.runs.shards import shard_path, write_shard, write_text
 from bidexdata.runs.stage import TaskExecution
 from bidexdata.validation.protocols import load_protocol

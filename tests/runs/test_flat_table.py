@@ -21,7 +21,8 @@ from bidexdata.objects.config import PrepareConfig, SdfConfig, SurfaceConfig
 from bidexdata.record import FIELDS, Status
 from bidexdata.runs import import_objects
 from bidexdata.runs.import_ import ImportRequest, import_run
-from bidexdata.runs.run import Run, verdict_batch, verdict_fingerprint
+from bidexdata.runs.run import Run, verdict_fingerprint
+from bidexdata.runs.run_rows import verdict_batch
 from bidexdata.runs.shards import shard_path, write_shard
 from bidexdata.runs.stage import TaskExecution
 from bidexdata.runs.table import write_table

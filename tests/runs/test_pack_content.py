@@ -16,7 +16,8 @@ from bidexdata.runs import import_objects, pack_objects
 from bidexdata.runs.content_hash import run_content_hash
 from bidexdata.runs.import_ import ImportRequest, import_run
 from bidexdata.runs.pack import pack_runs
-from bidexdata.runs.run import Run, verdict_batch, verdict_fingerprint
+from bidexdata.runs.run import Run, verdict_fingerprint
+from bidexdata.runs.run_rows import verdict_batch
 from bidexdata.runs.shards import shard_path, write_shard
 from bidexdata.runs.stage import TaskExecution
 from bidexdata.validation.protocols import load_protocol

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bidexdata.errors import NotUsable
-from bidexdata.runs.run import refuse_foreign
+from bidexdata.runs.run_folder import refuse_foreign
 
 
 @pytest.mark.parametrize("left", [[], [".run.json.host.1.tmp"], ["tasks.parquet"], ["import"]])
