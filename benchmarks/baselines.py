@@ -25,7 +25,7 @@ from bidexdata.errors import BidexError
 from bidexdata.formats.figures import Tally
 from bidexdata.runs.bench_speed import noted_in, speed_of
 from bidexdata.runs.finished import Finished
-from bidexdata.runs.pack import rows_of_object
+from bidexdata.runs.pack_rows import rows_of_object
 from bidexdata.runs.stage import TaskExecution
 from bidexdata.runs.synth import SynthRequest, start_run, synth_library
 from bidexdata.runs.validate import validate_run

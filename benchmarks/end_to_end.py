@@ -33,7 +33,7 @@ from bidexdata.formats.figures import Tally, size_text
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.rates import Rate, clustered_interval
 from bidexdata.runs.finished import Finished
-from bidexdata.runs.pack import rows_of_object
+from bidexdata.runs.pack_rows import rows_of_object
 from bidexdata.runs.stage import StageReport, TaskExecution
 from bidexdata.runs.synth import SynthRequest, synth_library
 from bidexdata.runs.validate import validate_run

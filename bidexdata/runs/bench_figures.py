@@ -24,7 +24,7 @@ from bidexdata.runs.bench_speed import speed_of
 from bidexdata.runs.chosen import DEFAULT_PROTOCOL
 from bidexdata.runs.finished import Finished
 from bidexdata.runs.info import made_with_of
-from bidexdata.runs.pack import rows_of_object
+from bidexdata.runs.pack_rows import rows_of_object
 from bidexdata.runs.run import Run
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from bidexdata.kinds import expect_kind
 from bidexdata.record import Status
 from bidexdata.runs.chosen import check_protocol, refuse_other_rig
 from bidexdata.runs.finished import Finished
-from bidexdata.runs.pack import count_tested, rows_of_object
+from bidexdata.runs.pack_rows import count_tested, rows_of_object
 from bidexdata.runs.run import Run
 from bidexdata.runs.shards import read_mark, shard_path
 

@@ -8,30 +8,28 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
-from bidexdata.config import differing_keys, to_plain
 from bidexdata.errors import NotUsable
-from bidexdata.record import GraspBatch
-from bidexdata.record.fields import columns_written_by
-from bidexdata.record.scene import scene_parts
-from bidexdata.record.settings import differing_settings, fuller_settings
 from bidexdata.runs.chosen import DEFAULT_PROTOCOL, chosen_protocol
-from bidexdata.runs.finished import Finished, Test
+from bidexdata.runs.pack_inputs import (
+    check_hands,
+    for_rig,
+    named_runs,
+    objects_of,
+    run_info,
+    shared_protocols,
+    shared_rig,
+    sizes_of,
+)
 from bidexdata.runs.pack_objects import in_processes
+from bidexdata.runs.pack_rows import count_tested, rows_of_object
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.run import Run
-from bidexdata.runs.run_rows import join_tasks
-from bidexdata.runs.shards import read_mark, shard_path
-from bidexdata.synthesis.method_names import DEFAULT_METHOD
 from bidexdata.wording import counted
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from bidexdata.formats.citation import About
-    from bidexdata.formats.release import ReleaseRows, RunInfo
-    from bidexdata.formats.rig_files import ReleaseRig
+    from bidexdata.formats.release import ReleaseRows
     from bidexdata.objects.prepared import PreparedObject
-
 
 LICENCE_HINT = (
     "--licences ids-only packs the grasps without the meshes, and a list file's column `licence` "
@@ -74,14 +72,6 @@ class PackReport:
     """Objects left out for their licence."""
     half_tested: tuple[TestedRows, ...] = ()
     """Runs with rows that the protocol has not tested."""
-
-
-class NamedRun(NamedTuple):
-    """A run, its name in the release, and what of it is packed."""
-
-    name: str
-    run: Run
-    finished: Finished
 
 
 def pack_runs(
@@ -134,10 +124,10 @@ def pack_runs(
     check_names(Path(out), name, version, form)  # before anything is read
     check_policy(licences)
     check_rule(split)
-    runs = _named([_opened(Run.open(p), rig) for p in paths])
-    _check_hands(runs)
-    arms = _rig(runs)
-    objects = _objects(runs)
+    runs = named_runs([for_rig(Run.open(p), rig) for p in paths])
+    check_hands(runs)
+    arms = shared_rig(runs)
+    objects = objects_of(runs)
     left_out = _refused_by_licence(objects, licences)
     ids = sorted(set(objects) - {o.object_id for o in left_out})
     if not ids:
@@ -169,10 +159,10 @@ def pack_runs(
             runs=[run_info(r) for r in runs],
             tests=tests,
             default_protocol=protocol,
-            protocols=_protocols(runs, tests),
+            protocols=shared_protocols(runs, tests),
             seed=seed,
             split_by=split,
-            sizes_mm=_sizes(runs, set(ids)),
+            sizes_mm=sizes_of(runs, set(ids)),
             licences=licences,
             about=about,
             rig=arms,
@@ -194,171 +184,6 @@ def pack_runs(
         tuple(left_out),
         tuple(c for c in counts if c.tested < c.rows),
     )
-
-
-def count_tested(run: Run, finished: Finished, protocol: str) -> tuple[int, int]:
-    """Count the finished rows that every test begun of a protocol has a verdict on, and all."""
-    tested = finished.tested([t for t in finished.tests if t[0] == protocol])
-    folder = run.stage_folder("rows")
-    rows = {i: read_mark(shard_path(folder, i)).rows for i in finished.rows}
-    return sum(rows[i] for i in tested), sum(rows.values())
-
-
-def rows_of_object(
-    run: Run, finished: Finished, object_id: str, name: str, tests: Sequence[Test]
-) -> ReleaseRows | None:
-    """All finished rows of one object of a run, rounds joined, with their verdicts.
-
-    A test that is not finished for all these rows is left out: half-tested scenes have no rate.
-    """
-    import numpy as np
-
-    from bidexdata.formats.release import ReleaseRows
-
-    tasks = finished.tasks_of(run, object_id)
-    if not tasks:
-        return None
-    batches = [run.task_batch(t) for t in tasks]
-    verdicts: dict[Test, dict[str, np.ndarray]] = {}
-    for protocol, test in tests:
-        if {t.task_id for t in tasks} <= finished.verdicts.get((protocol, test), frozenset()):
-            pairs = zip(tasks, batches, strict=True)
-            parts = [run.task_verdicts(t, b, protocol, test) for t, b in pairs]
-            verdicts[protocol, test] = {c: np.concatenate([p[c] for p in parts]) for c in parts[0]}
-    if not {t.task_id for t in tasks} <= finished.armed:
-        return ReleaseRows(name, join_tasks(batches), verdicts)
-    solved = join_tasks([run.task_arms(t, b) for t, b in zip(tasks, batches, strict=True)])
-    arms = {n: solved[n] for n in columns_written_by("arms")}
-    rows = {n: c for n, c in solved.columns.items() if n not in arms}
-    return ReleaseRows(name, GraspBatch(solved.header, rows), verdicts, arms)
-
-
-def run_info(one: NamedRun) -> RunInfo:
-    """What the release's table of runs says of a run: no paths, no times."""
-    from bidexdata.formats.release import RunInfo
-
-    spec = one.run.spec
-    return RunInfo(
-        name=one.name,
-        fingerprint=spec.fingerprint,
-        grasps=spec.grasps,
-        candidates=spec.candidates,
-        seed=spec.seed,
-        preset=spec.preset if spec.method in ("", DEFAULT_METHOD) else spec.method,
-        setting=spec.setting,
-        library_fingerprint=spec.source_fingerprint,
-        version=spec.versions.get("bidexdata", ""),
-        config=spec.config,
-    )
-
-
-def _named(runs: Sequence[Run]) -> list[NamedRun]:
-    folders = [r.path.resolve() for r in runs]
-    if len(set(folders)) < len(folders):
-        twice = next(f for f in folders if folders.count(f) > 1)
-        raise NotUsable(f"{twice} is named twice; pack every run once")
-    for run in runs:
-        if run.spec.kind == "generated" and run.spec.of_release:
-            raise NotUsable(
-                f"{run.path} holds grasps of a release's objects, and packing needs the library "
-                "they come from; create the run with that as its source"
-            )
-        if run.spec.kind == "release":
-            raise NotUsable(f"{run.path} re-tests a release; it holds no rows of its own to pack")
-    seen: Counter[str] = Counter()
-    named = []
-    for run, folder in zip(runs, folders, strict=True):
-        seen[folder.name] += 1
-        number = seen[folder.name]
-        name = folder.name if number == 1 else f"{folder.name}-{number}"
-        named.append(NamedRun(name, run, Finished.of(run)))
-    return named
-
-
-def _check_hands(runs: Sequence[NamedRun]) -> None:
-    first = runs[0]
-    for other in runs[1:]:
-        if other.run.spec.hands != first.run.spec.hands:
-            raise NotUsable(
-                f"{other.run.path} has other hands ({other.run.spec.hand}) than {first.run.path} "
-                f"({first.run.spec.hand}), or another version of them; pack them apart"
-            )
-
-
-def _opened(run: Run, rig: str | Path | None) -> Run:
-    """The run for the rig that is asked for; as it is, where it has no arm solutions at all."""
-    return run.for_rig(rig) if rig is not None and run.arm_rigs() else run
-
-
-def _rig(runs: Sequence[NamedRun]) -> ReleaseRig | None:
-    """The rig whose arm solutions are packed: that of all runs that have some.
-
-    Raises:
-        NotUsable: They are of different rigs, or were made with different settings.
-    """
-    from bidexdata.formats.rig_files import release_rig
-    from bidexdata.runs.arm_folder import read_record
-
-    armed = [one for one in runs if one.finished.armed]
-    if not armed:
-        return None
-    first = armed[0].run
-    record = read_record(first.path, first.rig)
-    for one in armed[1:]:
-        other = read_record(one.run.path, one.run.rig)
-        ours, theirs = ({**r.identity(), "run": ""} for r in (record, other))
-        differing = differing_keys(ours, theirs)
-        if other.name != record.name or differing:
-            why = f" ({differing[0]})" if other.name == record.name else ""
-            raise NotUsable(
-                f"{one.run.path} has arm solutions of rig {other.name} and {first.path} of "
-                f"{record.name}{why}; a release has those of one: say which with --rig, or pack the "
-                "runs apart"
-            )
-    task = next(t for t in first.tasks if t.task_id in armed[0].finished.armed)
-    header = first.task_arms(task, first.task_batch(task)).header
-    return release_rig(first.robot(), header.arms, record.spec, record.config)
-
-
-def _objects(runs: Sequence[NamedRun]) -> dict[str, Run]:
-    """The objects with finished rows, and a run whose library has each."""
-    found: dict[str, Run] = {}
-    for one in runs:
-        for object_id in one.run.object_ids:
-            if not one.finished.tasks_of(one.run, object_id):
-                continue
-            known = found.setdefault(object_id, one.run)
-            mine, theirs = (r.library.row(object_id)["content_sha256"] for r in (one.run, known))
-            if mine != theirs:
-                raise NotUsable(
-                    f"object {object_id} has another shape in the library of {one.run.path} than "
-                    f"in that of {known.path}; pack runs of equally prepared objects"
-                )
-    return found
-
-
-def _protocols(runs: Sequence[NamedRun], tests: Sequence[Test]) -> dict[str, Any]:
-    """Settings of the protocols that the runs have verdicts of; one name, one protocol."""
-    found: dict[str, tuple[Path, Any]] = {}
-    for one in runs:
-        for name in sorted({p for p, _ in tests}):
-            if not (one.run.path / "validate" / name).is_dir():
-                continue
-            mine = to_plain(one.run.protocol(name))
-            first, known = found.setdefault(name, (one.run.path, mine))
-            differing = differing_settings(known, mine)
-            if differing:
-                raise NotUsable(
-                    f"{one.run.path} and {first} have verdicts of different protocols called "
-                    f"{name!r} ({differing[0]}); validate one of them again under another name"
-                )
-            found[name] = (first, fuller_settings(known, mine))
-    return {name: settings for name, (_, settings) in sorted(found.items())}
-
-
-def _sizes(runs: Sequence[NamedRun], ids: set[str]) -> set[int]:
-    tasks = (t for one in runs for t in one.run.tasks if t.object_id in ids)
-    return {scene_parts(scene).size_mm for task in tasks for scene in task.scene_ids}
 
 
 def _refused_by_licence(objects: Mapping[str, Run], licences: str) -> list[LeftOut]:

@@ -26,7 +26,7 @@ from bidexdata.runs.browse import open_browsable
 from bidexdata.runs.finished import Finished
 from bidexdata.runs.library_report import TIMES
 from bidexdata.runs.made_with import package_versions
-from bidexdata.runs.pack import rows_of_object
+from bidexdata.runs.pack_rows import rows_of_object
 from bidexdata.runs.run_rows import join_tasks
 from bidexdata.runs.shards import done_tasks, read_shard, write_shard
 

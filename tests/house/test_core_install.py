@@ -7,6 +7,8 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Set
+from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions
 from pathlib import Path
 
@@ -76,24 +78,25 @@ def named(requirements) -> set[str]:
     return {re.split(r"[^A-Za-z0-9._-]", r)[0].lower() for r in requirements}
 
 
-def modules_of_extras() -> set[str]:
+@cache
+def modules_of_extras() -> frozenset[str]:
     """Top-level modules that only the extras `synth` and `view` bring."""
     extras = project()["optional-dependencies"]
     wanted = (
         named(extras["synth"] + extras["view"]) - {"bidexdata"} - named(project()["dependencies"])
     )
     found = packages_distributions()
-    return {
+    return frozenset(
         m for m, names in found.items() if wanted & {n.lower().replace("_", "-") for n in names}
-    }
+    )
 
 
-def started(code: str, argument: str | Path, hidden: set[str]) -> subprocess.CompletedProcess[str]:
+def started(code: str, argument: str | Path, hidden: Set[str]) -> subprocess.CompletedProcess[str]:
     argv = [sys.executable, "-c", HIDE + code, str(argument), *sorted(hidden)]
     return subprocess.run(argv, capture_output=True, text=True, check=False, cwd=ROOT)
 
 
-def run(code: str, release: Path, hidden: set[str]) -> list[str]:
+def run(code: str, release: Path, hidden: Set[str]) -> list[str]:
     done = started(code, release, hidden)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()

@@ -318,7 +318,7 @@ def test_an_exception_is_no_death_and_its_traceback_is_kept(tmp_path, meshes, sm
 
 def test_a_worker_that_needs_too_much_memory_costs_one_row(tmp_path, meshes, small):
     few = RestConfig(drops=24)
-    fine = replace(small, sdf=SdfConfig(cells=1000, error=1e-9), rest=few)
+    fine = replace(small, sdf=SdfConfig(cells=4000, error=1e-9), rest=few)
     bound = replace(fine, limits=LimitsConfig(memory_gib=1.5))
     (row,) = run([meshes / "a_box.stl"], tmp_path / "lib", bound, executor="processes").rows
     assert row["status"] == Status.TOO_COMPLEX
