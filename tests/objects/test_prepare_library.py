@@ -31,6 +31,12 @@ from bidexdata.runs.prepare_report import PrepareReport
 from bidexdata.runs.prepare_task import prepare_one
 
 
+@pytest.fixture(scope="module")
+def small(small: PrepareConfig) -> PrepareConfig:
+    """Few drops too: these tests are about what surrounds the objects."""
+    return replace(small, rest=RestConfig(drops=24))
+
+
 @pytest.fixture
 def meshes(tmp_path: Path, box) -> Path:
     """A good box, the same bytes again, points without faces, and half an STL."""
@@ -317,8 +323,7 @@ def test_an_exception_is_no_death_and_its_traceback_is_kept(tmp_path, meshes, sm
 
 
 def test_a_worker_that_needs_too_much_memory_costs_one_row(tmp_path, meshes, small):
-    few = RestConfig(drops=24)
-    fine = replace(small, sdf=SdfConfig(cells=4000, error=1e-9), rest=few)
+    fine = replace(small, sdf=SdfConfig(cells=4000, error=1e-9))
     bound = replace(fine, limits=LimitsConfig(memory_gib=1.5))
     (row,) = run([meshes / "a_box.stl"], tmp_path / "lib", bound, executor="processes").rows
     assert row["status"] == Status.TOO_COMPLEX

@@ -15,26 +15,32 @@ from mesh_files import mixed_folder
 
 from bidexdata.errors import Contradiction, NotUsable
 from bidexdata.kinds import kind_of
-from bidexdata.objects.config import PrepareConfig, SdfConfig
+from bidexdata.objects.config import PrepareConfig, RestConfig, SdfConfig
 from bidexdata.objects.library import Library
 from bidexdata.runs import prepare_parts
 from bidexdata.runs.prepare import prepare_library
 from bidexdata.runs.prepare_report import PrepareReport
 
 
-@pytest.fixture
-def meshes(tmp_path: Path, box) -> Path:
-    """Good, the same bytes again, failures of several kinds, good again."""
-    folder = mixed_folder(tmp_path / "meshes", box)
+@pytest.fixture(scope="module")
+def small(small: PrepareConfig) -> PrepareConfig:
+    """Few drops too: these tests are about what surrounds the objects."""
+    return replace(small, rest=RestConfig(drops=24))
+
+
+@pytest.fixture(scope="module")
+def meshes(tmp_path_factory: pytest.TempPathFactory, box) -> Path:
+    """Good, the same bytes again, failures of several kinds, good again; read only."""
+    folder = mixed_folder(tmp_path_factory.mktemp("parts") / "meshes", box)
     (folder / "f_empty.ply").touch()
     return folder
 
 
-@pytest.fixture
-def single(tmp_path: Path, meshes: Path, small: PrepareConfig) -> dict[str, bytes]:
+@pytest.fixture(scope="module")
+def single(meshes: Path, small: PrepareConfig) -> dict[str, bytes]:
     """The files of a library that one run made."""
-    part(meshes, tmp_path / "single", small, None)
-    return files(tmp_path / "single")
+    part(meshes, meshes.parent / "single", small, None)
+    return files(meshes.parent / "single")
 
 
 def part(meshes: Path, out: Path, config: PrepareConfig, shard, **options) -> PrepareReport:

@@ -40,9 +40,11 @@ def request(path: Path, **changes) -> ImportRequest:
 @pytest.fixture(scope="module", autouse=True)
 def coarse():
     """Objects are made with few points and cells: these tests are about what surrounds them."""
-    from bidexdata.objects.config import PrepareConfig, SdfConfig, SurfaceConfig
+    from bidexdata.objects.config import PrepareConfig, RestConfig, SdfConfig, SurfaceConfig
 
-    small = PrepareConfig(surface=SurfaceConfig(points=100), sdf=SdfConfig(cells=12))
+    small = PrepareConfig(
+        surface=SurfaceConfig(points=100), sdf=SdfConfig(cells=12), rest=RestConfig(drops=24)
+    )
     patch = pytest.MonkeyPatch()
     patch.setattr(import_objects, "PrepareConfig", lambda: small)
     yield

@@ -13,11 +13,15 @@ from bidexdata.simulation.resize import COMPILED_SIZE, SizedScenes
 from bidexdata.simulation.scene import build_scene
 
 SIZES = (0.3, 0.8, 0.45, 0.3)
+COARSE = PrepareConfig(
+    sdf=SdfConfig(cells=40), surface=SurfaceConfig(points=600), rest=RestConfig(drops=24)
+)
+"""The pieces, which a scene is made of, are those of the defaults."""
 
 
 @pytest.fixture(scope="module", params=["two boxes", "mug"])
 def solid(request):
-    return box_solid() if request.param == "two boxes" else prepare_object("shapes:mug")
+    return box_solid() if request.param == "two boxes" else prepare_object("shapes:mug", COARSE)
 
 
 @pytest.mark.parametrize("table", [False, True])
