@@ -70,10 +70,11 @@ def export_release(
     """
     from bidexdata.formats.exporters import EXPORTS
     from bidexdata.formats.release import Release
+    from bidexdata.runs.trajectories import FORMATS
 
     start, out = time.monotonic(), Path(out)
     if format not in EXPORTS:
-        raise UnknownName("export format", format, EXPORTS)
+        raise UnknownName("export format", format, [*EXPORTS, *FORMATS])
     writer = import_module(EXPORTS[format])
     release = Release.open(path)
     writer.check_hands(release.hands)
