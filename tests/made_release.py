@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from made_arms import led_poses, made_motions, made_rig, with_motions
 
 from bidexdata import frames
 from bidexdata.formats import parquet
@@ -28,7 +29,7 @@ from bidexdata.record.batch import empty_columns
 from bidexdata.record.fields import ADDED_IN, columns_written_by
 
 OBJECTS = ("box-aaaaaaaa", "flat-bbbbbbbb", "tetra-cccccccc")
-PAPER_F = ("paper-1", "f")
+PAPER_F, PAPER_A = ("paper-1", "f"), ("paper-1", "a")
 SIZES = (300, 500)
 PER_SCENE = 4
 _FACES = np.array(
@@ -155,8 +156,12 @@ def made_rows(
     run: str = "run",
     seed: int = 0,
     tested: bool = True,
+    arms: bool = False,
 ) -> ReleaseRows:
-    """`PER_SCENE` selected and as many audit rows per size (one row is both), with verdicts."""
+    """`PER_SCENE` selected and as many audit rows per size (one row is both), with verdicts.
+
+    With `arms` the motions of `made_arms` lead the hands.
+    """
     pair = hands or made_hands()
     rng = np.random.default_rng([seed, *object_id.encode()])
     tail = "float" if setting == "floating" else "table0"
@@ -184,13 +189,17 @@ def made_rows(
     c["steps"][:], c["seed"][:] = 100, 7
     ok = rank < per - 1  # the last audit row of each scene found no placement
     c["synth_status"][:] = np.where(ok, Status.OK, Status.NO_PLACEMENT)
-    _fill_poses(c, pair, rng, ok, setting)
+    motions = made_motions(header, ok, np.random.default_rng(seed)) if arms else {}
+    _fill_poses(c, pair, rng, ok, setting, led_poses(motions) if arms else None)
     for name in ("energy_qp", "region_score", "qp_residual", "energy_distance"):
         c[name][ok] = rng.random(ok.sum())
     c["energy_distance"] *= 1e-5  # the pads are made to lie on their points
     batch = GraspBatch(header, c)
     verdicts = {PAPER_F: made_verdicts(batch, rng)} if tested else {}
-    return ReleaseRows(run, batch, verdicts)
+    if arms:
+        batch = with_motions(batch, motions)
+        verdicts |= {PAPER_A: made_verdicts(batch, rng)} if tested else {}
+    return ReleaseRows(run, batch, verdicts, motions)
 
 
 def made_verdicts(batch: GraspBatch, rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -209,9 +218,12 @@ def made_release(out: Path, object_ids=OBJECTS, *, runs=None, **options) -> Path
     """Write a release of made rows; `rows` options go to `made_rows`."""
     rows = {
         k: options.pop(k)
-        for k in ("sizes", "exact", "setting", "seed", "tested", "hands")
+        for k in ("sizes", "exact", "setting", "seed", "tested", "hands", "arms")
         if k in options
     }
+    if rows.get("arms"):
+        rows.setdefault("setting", "tabletop")
+        options = {"rig": made_rig(), "tests": [PAPER_F, PAPER_A], **options}
     options = {"name": "made", "version": "1.0.0", "cloud_points": 1024, **options}
     options.setdefault("rows_of", lambda object_id: [made_rows(object_id, **rows)])
     write_release(
@@ -225,7 +237,7 @@ def made_release(out: Path, object_ids=OBJECTS, *, runs=None, **options) -> Path
     return out
 
 
-def _fill_poses(c, pair, rng, ok, setting) -> None:
+def _fill_poses(c, pair, rng, ok, setting, led=None) -> None:
     n, k = len(ok), int(ok.sum())
     object_quat, object_pos = np.tile(frames.IDENTITY_QUAT, (n, 1)), np.zeros((n, 3))
     if setting == "tabletop":
@@ -234,6 +246,9 @@ def _fill_poses(c, pair, rng, ok, setting) -> None:
     c["object_quat_wxyz"][:], c["object_pos"][:] = object_quat, object_pos
     c["hand_pos"][ok] = rng.normal(size=(k, len(pair), 3, 3)) * 0.2
     c["hand_quat_wxyz"][ok] = frames.random_quat(rng, (k, len(pair), 3))
+    if led is not None:
+        rows, c["hand_pos"][led[0]], c["hand_quat_wxyz"][led[0]] = led
+        assert ok[rows].all()
     for h, hand in enumerate(pair):
         J, C = len(hand.joint_names), len(hand.contact_names)
         span = hand.joint_upper - hand.joint_lower
