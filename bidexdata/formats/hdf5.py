@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from bidexdata.errors import Contradiction, UnknownName
 from bidexdata.formats import parquet
+from bidexdata.formats.hdf5_layout import ARMS as ARMS
 from bidexdata.formats.hdf5_layout import CONTACTS as CONTACTS
 from bidexdata.formats.hdf5_layout import INTEGER_LISTS as INTEGER_LISTS
 from bidexdata.formats.hdf5_layout import TRAINING_FILE as TRAINING_FILE
@@ -54,8 +55,9 @@ def map_values(
         root: Release folder.
         configuration: `selected` or `audit`.
         split: One split.
-        part: `values` (columns of grasps) or `contacts`; a file of schema 1.2 or before gives both
-            for either.
+        part: `values` (columns of grasps), `contacts`, or a table of arms, which only a file that
+            holds the rows alone has; a file of schema 1.2 or before gives grasps and contacts for
+            either.
 
     Raises:
         Contradiction: The file cannot be read as the training form.
@@ -64,6 +66,9 @@ def map_values(
     if not path.is_file():
         return None
     with _opened(path) as file:
+        if part.startswith(f"{ARMS}/"):
+            inner: Any = file.get(group_name(configuration, split, part))
+            return None if inner is None else _mapped_floats(path, inner[VALUES])
         group: Any = file[group_name(configuration, split)]
         return _mapped_floats(path, group[part if part in group else VALUES])
 
@@ -100,11 +105,19 @@ def map_columns(
     return found
 
 
-def read_values(root: Path, configuration: str, split: str, part: str = VALUES) -> MappedValues:
-    """Read what `map_values` maps from the Parquet tables into memory."""
-    table = "contacts" if part == CONTACTS else "grasps"
+def read_values(
+    root: Path,
+    configuration: str,
+    split: str,
+    part: str = VALUES,
+    columns: Sequence[str] | None = None,
+) -> MappedValues:
+    """Read what `map_values` maps, or some columns of it, from the Parquet tables into memory."""
+    table = {CONTACTS: "contacts", VALUES: "grasps"}.get(part, part)
     files = split_files(root, table, configuration, split)
     layout = float_layout(parquet.read_schema(files[0]))
+    if columns is not None:
+        layout = [entry for entry in layout if entry["name"] in columns]
     names = [entry["name"] for entry in layout]
     rows = sum(sum(parquet.row_counts(file)) for file in files)
     values = np.empty((rows, sum(entry["width"] for entry in layout)), np.float32)

@@ -26,7 +26,7 @@ from bidexdata.loaders.items import GraspItem
 from bidexdata.loaders.options import DEFAULT_FIELDS as DEFAULT_FIELDS
 from bidexdata.loaders.options import ItemOptions, require_torch
 from bidexdata.loaders.row_source import RowSource
-from bidexdata.loaders.stored import ScalarColumns
+from bidexdata.loaders.stored import ScalarColumns, refuse_arms
 from bidexdata.record.fields import TESTS
 
 log = logging.getLogger(__name__)
@@ -77,7 +77,8 @@ class BiDexDataset:
             split: `train` or `test`; None loads all splits, one after the other in the release's
                 order.
             where: Which rows; see `loaders.filters.matching_rows`.
-            fields: Columns of an item (grasps and contacts tables); `DEFAULT_FIELDS` when omitted.
+            fields: Columns of an item (of grasps, contacts and, where the release has a rig, arms);
+                `DEFAULT_FIELDS` when omitted.
             frame: Frame of hand poses and clouds: `object` or `world`. Contact points are always
                 in the object frame.
             cloud: `cloud_solid`, `cloud_mesh` or None.
@@ -98,6 +99,7 @@ class BiDexDataset:
             MissingExtra: torch, or tensordict where it is asked for, is not installed.
             PathNotFound: There is no release at `root`.
             UnknownName: No such split, field, cloud, configuration or option.
+            NotUsable: Columns of arms of a release that has no arm solutions.
             BadConfig: `where` cannot be read, fewer points are stored than asked for, options
                 exclude each other, or the hands have no mirror images.
         """
@@ -236,6 +238,16 @@ class BiDexDataset:
         return tuple(hand.side for hand in self.release.hands)
 
     @property
+    def rig(self) -> str:
+        """Name of the rig that columns of arms are of; empty where the release has none."""
+        return self.release.rig
+
+    @property
+    def arm_joint_names(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the A axis of `arm_joints` and `arm_path`, per arm; none without a rig."""
+        return tuple(arm.joint_names for arm in self.release.header.arms)
+
+    @property
     def object_rows(self) -> Int[np.ndarray, " K"]:
         """Items of each object that has some, in the order of the items: for `ObjectSampler`."""
         return _run_lengths(self._of_rows(self._index.object_index))
@@ -308,6 +320,7 @@ class BiDexDataset:
         if callable(where):
             return rows_by_function(where, self._scalars, len(self._index))
         names = columns_named(where) or []
+        refuse_arms(self.release, names)
         for name in names:
             if name not in self._scalars:
                 raise UnknownName("column", name, list(self._scalars), "in where")

@@ -1,7 +1,8 @@
 """What an item holds, for type checkers: the columns of the field table and what loaders add.
 
 Shapes are those of one grasp; a batch has a leading axis B, a case (`BiDexCases`) a leading axis G.
-Axes: H hands, S stages, J joints, C contacts, P points.
+Axes: H hands, S stages, J joints, C contacts, P points, A joints of an arm and its wrist, K key frames,
+W knots.
 """
 
 from __future__ import annotations
@@ -98,3 +99,22 @@ class GraspItem(TypedDict):
     contact_normal: Tensor
     contact_force: Tensor
     force_scale: Tensor
+
+    # Columns of the table of arms, of a release that has a rig.
+    arm_status: Tensor
+    arm_joints: Tensor
+    """(H, K, A) [rad]; NaN behind an arm's last joint, and where there is no motion."""
+    arm_path: Tensor
+    """(H, W, A) [rad], likewise."""
+    arm_time: Tensor
+    """(W) [s]."""
+    ik_error_pos: Tensor
+    ik_error_rot: Tensor
+    arm_step: Tensor
+    clear_table: Tensor
+    clear_object: Tensor
+    clear_arms: Tensor
+    clear_self: Tensor
+    manipulability: Tensor
+    arm_starts: Tensor
+    arm_failed_side: Tensor

@@ -8,6 +8,7 @@ from importlib.util import find_spec
 
 from bidexdata.errors import BadConfig, MissingExtra, UnknownName
 from bidexdata.formats.clouds import CLOUDS
+from bidexdata.formats.tables import ARM_COLUMNS
 from bidexdata.loaders.normals import OF_CLOUD
 
 DEFAULT_FIELDS = ("hand_pos", "hand_quat_wxyz", "joints", "size_mm", "size")
@@ -49,6 +50,11 @@ class ItemOptions:
             raise UnknownName("cloud", str(self.cloud), CLOUDS)
         if self.normals and self.cloud != OF_CLOUD:
             raise BadConfig(f"normals are those of {OF_CLOUD}, and cloud={self.cloud!r}")
+        moved = [n for n in self.fields if n in ARM_COLUMNS]
+        if moved and self.augment:
+            raise BadConfig(
+                f"augment moves hands and object, and arms cannot follow: leave out augment or {moved[0]}"
+            )
         if self.points < 1:
             raise BadConfig(f"points={self.points}; a cloud has at least one")
         if self.rotation != "quat" and self.quat_order != "wxyz":

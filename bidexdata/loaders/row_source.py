@@ -10,14 +10,19 @@ from jaxtyping import Int
 
 from bidexdata.errors import UnknownName
 from bidexdata.formats import hdf5
+from bidexdata.formats.tables import ARM_COLUMNS
 from bidexdata.loaders.stored import (
     OF_SCENE,
     FloatRows,
     Rows,
     ScalarColumns,
+    arm_floats,
+    arm_integers,
     float_values,
     integer_rows,
+    refuse_arms,
 )
+from bidexdata.record import FIELDS
 
 _PAGE = 4096
 """Bytes of a page of memory; larger pages are touched more than once, which costs nothing."""
@@ -34,11 +39,13 @@ class RowSource:
 
         Args:
             scalars: The scalar columns of the configuration and split.
-            names: Columns of the grasps and contacts tables; `size` is there in any release.
+            names: Columns of grasps, contacts and arms; `size` is there in any release.
 
         Raises:
             UnknownName: There is no such column.
+            NotUsable: The release has no columns of arms.
         """
+        refuse_arms(scalars.release, names)
         self._scalars, self._index = scalars, scalars.index
         names = tuple(dict.fromkeys(names))
         self._floats = self._open_floats(names)
@@ -51,7 +58,11 @@ class RowSource:
         whole = [n for n in rest if n not in text]
         self._flags = {n for n in whole if n in scalars and scalars.is_boolean(n)}
         place = (scalars.release, scalars.configuration, scalars.splits)
-        self._whole: dict[str, Rows] = integer_rows(*place, whole)
+        of_arms = [n for n in whole if n in ARM_COLUMNS]
+        self._whole: dict[str, Rows] = {
+            **integer_rows(*place, [n for n in whole if n not in of_arms]),
+            **arm_integers(*place, of_arms),
+        }
 
     def take(
         self, rows: Int[np.ndarray, " n"]
@@ -87,7 +98,13 @@ class RowSource:
         scalars, left = self._scalars, [n for n in names if n not in OF_SCENE]
         place = (scalars.release, scalars.configuration)
         found: list[FloatRows] = []
-        known = {*(n for n in scalars if not scalars.is_float(n)), *hdf5.INTEGER_LISTS}
+        own = set(ARM_COLUMNS) if scalars.release.rig else set()
+        of_arms = [n for n in left if n in own and FIELDS[n].dtype == "float32"]
+        if of_arms:
+            opened = [arm_floats(*place, split, of_arms) for split in scalars.splits]
+            found.append(FloatRows(opened, of_arms))
+            left = [n for n in left if n not in of_arms]
+        known = {*own, *(n for n in scalars if not scalars.is_float(n)), *hdf5.INTEGER_LISTS}
         for part in (hdf5.VALUES, hdf5.CONTACTS):
             if all(n in known for n in left):
                 break

@@ -5,14 +5,17 @@ Splits are files of their own; here they follow each other in one numbering of r
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Int
 
+from bidexdata.errors import NotUsable
 from bidexdata.formats import hdf5
+from bidexdata.formats.hdf5_layout import integer_values
 from bidexdata.formats.row_index import RowIndex
+from bidexdata.formats.tables import ARM_COLUMNS, arms_tables, column_field
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -109,8 +112,56 @@ def integer_rows(
     return {name: Rows([part[name] for part in parts]) for name in names}
 
 
+def arms_table(release: Release, name: str) -> str:
+    """The release's table of arms, for the column `name` of it.
+
+    Raises:
+        NotUsable: It has none.
+    """
+    tables = arms_tables(release.header)
+    if not tables:
+        raise NotUsable(
+            f"{release.path} has no arm solutions, so no {name}: pack runs that `bidexdata arms` solved"
+        )
+    return tables[0]
+
+
+def refuse_arms(release: Release, names: Iterable[str]) -> None:
+    """Refuse to go on where columns of arms are asked for and there are none.
+
+    Raises:
+        NotUsable: So it is.
+    """
+    for name in names:
+        if name in ARM_COLUMNS:
+            arms_table(release, name)
+
+
+def arm_integers(
+    release: Release, configuration: str, splits: Sequence[str], names: Sequence[str]
+) -> dict[str, Rows]:
+    """Read integer columns of arms, whatever the form of the release."""
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    table = arms_table(release, names[0]) if names else ""
+    for split in splits if names else ():
+        for group in release.row_groups(table, configuration, split, names):
+            for name in names:
+                column = column_field(name)
+                values = integer_values(group.column(name), np.dtype(column.dtype))
+                parts[name].append(values.reshape(-1, *release.header.shape(column)))
+    return {name: Rows([np.concatenate(found)]) for name, found in parts.items()}
+
+
+def arm_floats(
+    release: Release, configuration: str, split: str, names: Sequence[str]
+) -> MappedValues:
+    """Map the float columns of arms, or read those that are asked for."""
+    place = (release.path, configuration, split, arms_table(release, names[0]))
+    return hdf5.map_values(*place) or hdf5.read_values(*place, names)
+
+
 class ScalarColumns(Mapping[str, np.ndarray]):
-    """The scalar columns of the grasps table, each read when it is asked for.
+    """The scalar columns of grasps and of arms, each read when it is asked for.
 
     Ids, sizes and settings come from the scenes table, integers and verdicts from the training form,
     the rest from Parquet. Nulls of `suc_*` read as False here and stay nulls in `table`.
@@ -121,6 +172,11 @@ class ScalarColumns(Mapping[str, np.ndarray]):
         self._split = split
         self.splits = release.split_names if split is None else (split,)
         self._types = _scalar_types(release.table_schema("grasps", configuration))
+        self._of_arms: dict[str, str] = {}
+        for table in arms_tables(release.header):
+            types = _scalar_types(release.table_schema(table, configuration))
+            self._of_arms = {name: table for name in types if name in ARM_COLUMNS}
+            self._types |= {name: types[name] for name in self._of_arms}
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._types)
@@ -161,6 +217,9 @@ class ScalarColumns(Mapping[str, np.ndarray]):
 
         if name in OF_SCENE:
             return pa.chunked_array([self._of_scene(name)])
+        if name in self._of_arms:
+            place = (self._of_arms[name], self.configuration, self._split, [name])
+            return pa.concat_tables(self.release.row_groups(*place)).column(name)
         if self.is_integer(name):
             rows = integer_rows(self.release, self.configuration, self.splits, [name])[name]
             arrays = [_masked(a, boolean=self.is_boolean(name)) for a in rows.arrays]

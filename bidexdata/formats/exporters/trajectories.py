@@ -108,7 +108,7 @@ def csv_text(batch: GraspBatch, row: int) -> str:
     angles = np.concatenate([g.path for g in groups], axis=1)
     phases = phase_of_knots(batch.header.arms[0].knots)
     for time, phase, q in zip(batch["arm_time"][row], phases, angles, strict=True):
-        table.writerow([_number(time), phase, *(_number(angle) for angle in q)])
+        table.writerow([_number(time), phase, *map(_number, q)])
     return out.getvalue()
 
 
@@ -137,6 +137,6 @@ def ros_messages(batch: GraspBatch, row: int) -> Iterator[tuple[str, dict[str, A
         yield f"{group.side}_{group.kind}", message
 
 
-def _number(value: float) -> str:
+def _number(value: np.floating) -> str:
     # Nine digits give a float32 back to the bit.
     return f"{float(value) + 0.0:.9g}"
