@@ -10,7 +10,7 @@ it has given.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,11 +19,12 @@ import numpy as np
 from bidexdata.errors import BadConfig, NotUsable, UnknownName
 from bidexdata.formats import parquet
 from bidexdata.formats.release import Release
-from bidexdata.formats.tables import CONFIGURATIONS, column_field
+from bidexdata.formats.tables import ARM_COLUMNS, CONFIGURATIONS, arms_tables, column_field
 from bidexdata.loaders.assembly import Assembly, Selection, columns_needed
 from bidexdata.loaders.filters import Where, columns_named, matching_rows
 from bidexdata.loaders.options import DEFAULT_FIELDS, ItemOptions, require_torch
 from bidexdata.loaders.permutation import permuted
+from bidexdata.loaders.stored import refuse_arms
 from bidexdata.record.fields import columns_of_table
 from bidexdata.wording import counted
 
@@ -81,7 +82,7 @@ class BiDexStream(IterableDataset[dict[str, Any]]):
             buffer: Rows that are shuffled with each other and held in memory, at least.
             split: `train`, `test`, or None for all.
             where: An expression or a dictionary, as for `BiDexDataset`.
-            fields: Columns of an item; those of the contacts table need its files.
+            fields: Columns of an item; those of contacts and of arms need the files of these tables.
             configuration: `selected` or `audit`.
             shuffle: False gives the stored order.
             seed: Seed of the order and of the augmentation.
@@ -91,7 +92,7 @@ class BiDexStream(IterableDataset[dict[str, Any]]):
                 for `BiDexDataset`.
 
         Raises:
-            NotUsable: No file of the split is there.
+            NotUsable: No file of the split is there, or there are no arms that have a column.
             UnknownName: No such split, field, cloud, configuration or option.
             BadConfig: `where` cannot be read, or options exclude each other.
         """
@@ -190,31 +191,36 @@ class BiDexStream(IterableDataset[dict[str, Any]]):
         return files
 
     def _where_from(self, grasps: set[str]) -> dict[str, list[str]]:
-        """Columns to read from each table."""
-        contacts = {*columns_of_table("contacts")}
+        """Columns to read from each table; grasps come first."""
         names = columns_needed(self.options, on_table=self._on_table)
+        refuse_arms(self.release, names)
+        others = {"contacts": columns_of_table("contacts")}
+        others |= dict.fromkeys(arms_tables(self.release.header), ARM_COLUMNS)
+        known = grasps.union(*others.values())
         for name in names:
-            if name not in grasps | contacts | {"size"}:
-                raise UnknownName("field", name, sorted(grasps | contacts))
+            if name not in known | {"size"}:
+                raise UnknownName("field", name, sorted(known))
         mine = [n for n in names if n in grasps]
         if "size" in names and "size" not in grasps:
             mine.append("size_mm")
         mine.append("object_id")
-        return {
-            "grasps": list(dict.fromkeys(mine)),
-            "contacts": [n for n in names if n in contacts],
-        }
+        more = {table: [n for n in names if n in columns] for table, columns in others.items()}
+        return {"grasps": list(dict.fromkeys(mine)), **more}
 
     def _row_groups(self, files: Sequence[Path], where: Where) -> list[_Group]:
         named = columns_named(where)
         if named is None:
             raise BadConfig("a stream takes an expression or a dictionary as where, no function")
+        refuse_arms(self.release, named)
+        of_arms = [n for n in named if n in ARM_COLUMNS]
+        columns = {"grasps": [n for n in named if n not in of_arms]}
+        columns |= dict.fromkeys(arms_tables(self.release.header), of_arms)
         found, first = [], 0
         for file in files:
             counts = parquet.row_counts(file)
             tables: Any = [None] * len(counts)
             if named:
-                tables = parquet.read_groups(file, named, range(len(counts)))
+                tables = (_read(file, columns, number) for number in range(len(counts)))
             for number, (count, table) in enumerate(zip(counts, tables, strict=True)):
                 kept = np.arange(count) if table is None else matching_rows(where, table)
                 found.append(_Group(file, number, kept, first))
@@ -278,22 +284,14 @@ class BiDexStream(IterableDataset[dict[str, Any]]):
         if self._window is None or self._window[0] != key:
             self._window = None  # before the next is read: two would be held
             groups = self._groups_of(window)
-            tables = [self._read(group) for group in groups if len(group.kept)]
+            tables = [
+                _read(group.file, self._columns, group.number).take(group.kept)
+                for group in groups
+                if len(group.kept)
+            ]
             rows = [group.first + group.kept for group in groups]
             self._window = (key, pa.concat_tables(tables).combine_chunks(), np.concatenate(rows))
         return self._window[1], self._window[2]
-
-    def _read(self, group: _Group) -> pa.Table:
-        (table,) = parquet.read_groups(group.file, self._columns["grasps"], [group.number])
-        if self._columns["contacts"]:
-            folder = group.file.parent.name.replace("grasps", "contacts", 1)
-            file = group.file.parents[1] / folder / group.file.name
-            if not file.is_file():
-                raise NotUsable(f"{file}: not there, and fields name columns of it; download it")
-            (more,) = parquet.read_groups(file, self._columns["contacts"], [group.number])
-            for name in more.column_names:
-                table = table.append_column(more.schema.field(name), more.column(name))
-        return table.take(group.kept)
 
     def _arrays(self, table: pa.Table) -> tuple[dict[str, np.ndarray], dict[str, list[str]]]:
         import pyarrow as pa
@@ -315,3 +313,28 @@ class BiDexStream(IterableDataset[dict[str, Any]]):
         if "size" not in found and "size_mm" in found:
             found["size"] = (found["size_mm"] / 1000).astype(np.float32)
         return found, text
+
+
+def _read(file: Path, columns: Mapping[str, Sequence[str]], number: int) -> pa.Table:
+    """Columns of a row group side by side: of a file of grasps, and of its mates of other tables.
+
+    Raises:
+        NotUsable: A mate is not there.
+    """
+    found: pa.Table | None = None
+    for table, names in columns.items():
+        if not names:
+            continue
+        head, _, rest = table.partition("/")
+        folder = file.parent.name.replace("grasps", head, 1)
+        mate = file.parents[1] / folder / rest / file.name
+        if not mate.is_file():
+            raise NotUsable(f"{mate}: not there, and columns of it are asked for; download it")
+        (part,) = parquet.read_groups(mate, names, [number])
+        if found is None:
+            found = part
+            continue
+        for name in part.column_names:
+            found = found.append_column(part.schema.field(name), part.column(name))
+    assert found is not None  # somebody asked for a column
+    return found

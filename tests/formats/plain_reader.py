@@ -20,7 +20,8 @@ class PlainRelease:
         assert self.manifest["format"] == "bidexdata-release"
         if self.manifest["schema_version"].split(".")[0] != MAJOR:
             raise ValueError("another major version of the schema")
-        self.hands = json.loads(self.manifest["header"])["hands"]
+        header = json.loads(self.manifest["header"])
+        self.hands, self.arms = header["hands"], header.get("arms", [])
 
     def damaged(self):
         """Files whose bytes are not those of the manifest."""
@@ -35,6 +36,8 @@ class PlainRelease:
         sizes = {"H": len(self.hands), "S": 3}
         sizes["J"] = max([1, *(len(h["joint_names"]) for h in self.hands)])
         sizes["C"] = max([1, *(len(h["contact_names"]) for h in self.hands)])
+        sizes["K"], sizes["W"] = 6, 1 + sum(self.arms[0]["knots"]) if self.arms else 1
+        sizes["A"] = max([1, *(len(a["joint_names"]) for a in self.arms)])
         return sizes
 
     def table(self, name, configuration="selected"):
@@ -69,6 +72,24 @@ class PlainRelease:
         hand = self.hands[h]
         path = self.root / "hands" / hand["name"] / hand["side"] / "tree.json"
         return json.loads(path.read_text())
+
+    def rig(self):
+        path = self.root / "rigs" / self.arms[0]["rig"] / "rig.json"
+        return json.loads(path.read_text())
+
+    def key_frames(self, arm_path):
+        """Angles of both arms at the key frames of one motion, (H, K, A)."""
+        return arm_path[:, np.cumsum([0, *self.arms[0]["knots"]])]
+
+    def hand_on_arm(self, chain, q):
+        """Where the angles of one arm put the frame `hand` in the world: (3,), (3, 3)."""
+        R, p = np.eye(3), np.zeros(3)
+        for k in range(len(chain["joint_names"])):
+            p = p + R @ np.array(chain["before_pos"][k])
+            half = float(q[k]) / 2
+            turn = rotation([np.cos(half), *(np.sin(half) * np.array(chain["axis"][k]))])
+            R = R @ np.array(chain["before_rot"][k]) @ turn
+        return p + R @ np.array(chain["end_pos"]), R @ np.array(chain["end_rot"])
 
     def points_in_world(self, tree, body_points, joints, pos, quat):
         """Points of bodies, a list of (body, p), in the world: (len(body_points), 3)."""

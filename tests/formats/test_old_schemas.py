@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from old_releases import ARCHIVES, SCHEMAS, unpacked
+from plain_reader import PlainRelease
 
-from bidexdata.errors import Contradiction
+from bidexdata.errors import Contradiction, NotUsable
 from bidexdata.formats import hdf5
 from bidexdata.formats.manifest import write_manifest
 from bidexdata.formats.release import Release
@@ -65,6 +66,24 @@ def test_an_old_release_loads(old):
     data = BiDexDataset(old, split="train", points=32)
     assert len(data) == 4
     assert data[0]["cloud_solid"].shape == (32, 3)
+
+
+def test_an_old_release_has_no_arms_and_says_so(old):
+    from bidexdata.runs.trajectories import export_trajectories
+
+    release = Release.open(old)
+    assert release.rig == ""
+    assert release.header.arms == ()
+    assert PlainRelease(old).arms == []
+    with pytest.raises(NotUsable, match="has no arm solutions"):
+        release.with_arms(release.grasps())
+    with pytest.raises(NotUsable, match="has no arm solutions"):
+        export_trajectories(old, old.parent / "out", "csv", quiet=True)
+    pytest.importorskip("torch")
+    from bidexdata import BiDexDataset
+
+    with pytest.raises(NotUsable, match="has no arm solutions, so no arm_path"):
+        BiDexDataset(old, fields=("arm_path",), cloud=None)
 
 
 def newer(folder: Path, version: str) -> Path:

@@ -13,7 +13,12 @@ from made_release import made_hands, made_release
 from plain_reader import PlainRelease, rotation
 
 from bidexdata.formats.release import Release
-from bidexdata.formats.tables import CONTACT_COLUMNS, GRASP_COLUMNS, VERDICT_COLUMNS
+from bidexdata.formats.tables import (
+    ARM_COLUMNS,
+    CONTACT_COLUMNS,
+    GRASP_COLUMNS,
+    VERDICT_COLUMNS,
+)
 
 PLAIN = Path(__file__).with_name("plain_reader.py")
 TOLERANCE = 1e-7
@@ -23,6 +28,11 @@ TOLERANCE = 1e-7
 @pytest.fixture(scope="module", params=["floating", "tabletop"])
 def written(request, tmp_path_factory) -> Path:
     return made_release(tmp_path_factory.mktemp("plain") / "release", setting=request.param)
+
+
+@pytest.fixture(scope="module")
+def armed(tmp_path_factory) -> Path:
+    return made_release(tmp_path_factory.mktemp("armed") / "release", arms=True)
 
 
 def test_the_reader_knows_nothing_of_this_package():
@@ -128,3 +138,56 @@ def test_the_training_form_is_mapped_at_its_byte_offset(written):
                 values = mapped[:, ends[k] - layout[k]["width"] : ends[k]]
                 values = values.reshape(len(mapped), *layout[k]["shape"])
                 assert values.tobytes() == batch[name].tobytes()
+
+
+@pytest.mark.parametrize("configuration", ["selected", "audit"])
+def test_it_reads_the_motions_of_arms(armed, configuration):
+    plain, release = PlainRelease(armed), Release.open(armed)
+    assert plain.manifest["rigs"] == [release.rig]
+    rows = release.with_arms(release.grasps(configuration=configuration))
+    table = plain.table(f"arms/{release.rig}", configuration)
+    assert table["grasp_id"] == rows["grasp_id"].tolist()
+    for name in ARM_COLUMNS:
+        assert table[name].tobytes() == rows[name].tobytes(), name
+        assert table[name].shape == rows[name].shape
+    for i in np.flatnonzero(table["arm_status"] == 0):
+        frames = plain.key_frames(table["arm_path"][i])
+        np.testing.assert_array_equal(frames, table["arm_joints"][i])
+
+
+def test_it_puts_the_hands_of_arms_where_the_grasps_have_them(armed):
+    plain = PlainRelease(armed)
+    grasps, arms = plain.table("grasps"), plain.table(f"arms/{plain.arms[0]['rig']}")
+    rig = plain.rig()
+    assert rig["config"]["path"]["squeeze_palm"] == "moves"
+    moving = np.flatnonzero(arms["arm_status"] == 0)
+    assert len(moving)
+    for h, arm in enumerate(plain.arms):
+        chain = rig["chains"][arm["side"]]
+        assert chain["joint_names"] == arm["joint_names"]
+        assert chain["wrist"] == arm["wrist_joints"]
+        for i in moving:
+            for s in range(3):
+                pos, R = plain.hand_on_arm(chain, arms["arm_joints"][i, h, 2 + s])
+                np.testing.assert_allclose(pos, grasps["hand_pos"][i, h, s], atol=TOLERANCE)
+                wanted = rotation(grasps["hand_quat_wxyz"][i, h, s])
+                np.testing.assert_allclose(R, wanted, atol=10 * TOLERANCE)
+
+
+def test_motions_of_the_form_hdf5_are_mapped_too(tmp_path):
+    root = made_release(tmp_path / "release", arms=True, form="hdf5")
+    release = Release.open(root)
+    rows = release.with_arms(release.grasps(split="train"))
+    with h5py.File(root / "grasps.h5") as file:
+        group = file["selected/train/arms/made"]
+        layout = json.loads(group["values"].attrs["columns"])
+        names = [c["name"] for c in layout]
+        low = sum(c["width"] for c in layout[: names.index("arm_path")])
+        column = layout[names.index("arm_path")]
+        mapped = np.memmap(
+            *(root / "grasps.h5", "<f4", "r", group["values"].id.get_offset()),
+            shape=group["values"].shape,
+        )
+        values = mapped[:, low : low + column["width"]].reshape(len(mapped), *column["shape"])
+        assert values.tobytes() == rows["arm_path"].tobytes()
+        assert group["arm_status"][:].tolist() == rows["arm_status"].tolist()

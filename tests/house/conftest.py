@@ -8,3 +8,9 @@ from made_release import made_release
 def packed(tmp_path_factory) -> Path:
     """A made release; read only."""
     return made_release(tmp_path_factory.mktemp("packed") / "release")
+
+
+@pytest.fixture(scope="session")
+def armed(tmp_path_factory) -> Path:
+    """A made release with motions of arms; read only."""
+    return made_release(tmp_path_factory.mktemp("armed") / "release", arms=True)

@@ -14,6 +14,8 @@ ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9][0-9]_*.py"))
 NEEDS = {"03_train_lightning": "lightning"}
 """Packages that no extra brings, by the example that needs them."""
+ARMS = ("05_arms",)
+"""Examples whose release has arms."""
 
 
 def test_there_are_examples():
@@ -21,14 +23,16 @@ def test_there_are_examples():
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
-def test_an_example_runs_on_a_release_without_deprecation_warnings(path: Path, packed: Path):
+def test_an_example_runs_on_a_release_without_deprecation_warnings(
+    path: Path, packed: Path, armed: Path
+):
     if find_spec(NEEDS.get(path.stem, "sys")) is None:
         pytest.skip(f"needs the package {NEEDS[path.stem]}")
     # What such a package deprecates in torch is not ours to mend.
     kinds = [] if path.stem in NEEDS else ["DeprecationWarning", "FutureWarning"]
     strict = [flag for kind in kinds for flag in ("-W", f"error::{kind}")]
     done = subprocess.run(
-        [sys.executable, *strict, str(path), str(packed)],
+        [sys.executable, *strict, str(path), str(armed if path.stem in ARMS else packed)],
         capture_output=True,
         text=True,
         check=False,
