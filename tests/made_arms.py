@@ -36,7 +36,7 @@ def chain(side: str) -> dict[str, Any]:
         "axis": [[0.0, 0, 1], [0, 1.0, 0], [0.6, 0, 0.8]][:count],
         "lower": [-1.5] * count,
         "upper": [1.5] * count,
-        "velocity": [2.0] * count,
+        "velocity": [4.0] * count,
         "end_pos": [0.02, 0.0, 0.1],
         "end_rot": _QUARTER.T.tolist(),
         "wrist": int(left),
