@@ -7,7 +7,7 @@ otherwise. Of the rows of a tabletop run that the arms of a rig have a motion to
 test a on arms, once for each gain: `G`, or `ARM:WRIST`, is a multiple of the stiffness of the servos in the
 arms' models (`arm.arm_gain`, `arm.wrist_gain`). Printed are medians over hands at the end of the squeeze:
 how far the hand frame is from where it was commanded, how much it is turned, by how much the wrist alone turns
-it, and the sum of the normal forces of one hand on the object. Early ends of loads are on, as in `validate`.
+it, and the sum of the normal forces of one hand on the object; in brackets the 95th percentile. Early ends of loads are on, as in `validate`.
 """
 
 from __future__ import annotations
@@ -145,12 +145,14 @@ def table(figures: dict[str, dict[str, Any]]) -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     for carrier, f in figures.items():
-        wrist = "-" if f["wrist_deg_median"] is None else f"{f['wrist_deg_median']:.1f}"
+        shift, turn = (
+            f"{_text(f[f'{n}_median'], digits)} ({_text(f[f'{n}_p95'], 1)})"
+            for n, digits in (("shift_mm", 2), ("turn_deg", 1))
+        )
         lines.append(
             f"| {carrier} | {f['rows']} | {f['passed']} | {f['passed_of_held']} of "
-            f"{f['held_by_weld']} | {f['shift_mm_median']:.2f} ({f['shift_mm_p95']:.1f}) | "
-            f"{f['turn_deg_median']:.1f} ({f['turn_deg_p95']:.1f}) | {wrist} | "
-            f"{f['force_n_median']:.1f} |"
+            f"{f['held_by_weld']} | {shift} | {turn} | {_text(f['wrist_deg_median'], 1)} | "
+            f"{_text(f['force_n_median'], 1)} |"
         )
     return "\n".join(lines)
 
@@ -240,6 +242,10 @@ def _normal_forces(scene: SimScene) -> list[float]:
 
 def _angle(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.arccos(np.clip((np.trace(a @ b.T) - 1) / 2, -1, 1)))
+
+
+def _text(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
 
 
 def _percentile(values: np.ndarray, percent: float) -> float | None:

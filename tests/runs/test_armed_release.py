@@ -218,3 +218,22 @@ def test_a_hand_elsewhere_is_found(solved: Run, tmp_path):
     pack_runs([solved.path], tmp_path / "release", form="parquet", **PACK)
     with pytest.raises(Exception, match="the right hand is not at its grasp"):
         arm_poses(Release.open(tmp_path / "release"))
+
+
+def test_run_and_release_export_the_same_motions(solved: Run, tmp_path, capsys):
+    pack_runs([solved.path], tmp_path / "release", form="parquet", **PACK)
+    files = []
+    for source in (solved.path, tmp_path / "release"):
+        out = tmp_path / f"{source.name}-csv"
+        words = ["export", str(source), "--format", "trajectories-csv", "--out", str(out)]
+        assert bidexdata([*words, "--quiet", "--rig", "made"]) == 0
+        found = {p.relative_to(out).as_posix(): p.read_bytes() for p in out.glob("*/*.csv")}
+        files.append({**found, "INDEX.csv": sorted((out / "INDEX.csv").read_bytes().splitlines())})
+    assert files[0] == files[1]
+    assert len(files[0]) > 1
+    capsys.readouterr()
+    words = ["export", str(solved.path), "--format", "trajectories-csv", "--split", "train"]
+    assert bidexdata([*words, "--out", str(tmp_path / "x")]) == 3
+    assert "splits are made by pack" in capsys.readouterr().err
+    assert bidexdata([*words[:4], "--out", str(tmp_path / "x"), "--only", "success"]) == 3
+    assert "--tests a` gives them" in capsys.readouterr().err
