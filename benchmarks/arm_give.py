@@ -7,7 +7,8 @@ otherwise. Of the rows of a tabletop run that the arms of a rig have a motion to
 test a on arms, once for each gain: `G`, or `ARM:WRIST`, is a multiple of the stiffness of the servos in the
 arms' models (`arm.arm_gain`, `arm.wrist_gain`). Printed are medians over hands at the end of the squeeze:
 how far the hand frame is from where it was commanded, how much it is turned, by how much the wrist alone turns
-it, and the sum of the normal forces of one hand on the object; in brackets the 95th percentile. Early ends of loads are on, as in `validate`.
+it, and the sum of the normal forces of one hand on the object; in brackets the 95th percentile. Early ends
+of loads are on, as in `validate`.
 """
 
 from __future__ import annotations

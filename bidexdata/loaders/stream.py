@@ -321,7 +321,7 @@ def _read(file: Path, columns: Mapping[str, Sequence[str]], number: int) -> pa.T
     Raises:
         NotUsable: A mate is not there.
     """
-    found: pa.Table | None = None
+    parts: list[pa.Table] = []
     for table, names in columns.items():
         if not names:
             continue
@@ -330,11 +330,9 @@ def _read(file: Path, columns: Mapping[str, Sequence[str]], number: int) -> pa.T
         mate = file.parents[1] / folder / rest / file.name
         if not mate.is_file():
             raise NotUsable(f"{mate}: not there, and columns of it are asked for; download it")
-        (part,) = parquet.read_groups(mate, names, [number])
-        if found is None:
-            found = part
-            continue
+        parts += parquet.read_groups(mate, names, [number])
+    found, *others = parts  # somebody asked for a column
+    for part in others:
         for name in part.column_names:
             found = found.append_column(part.schema.field(name), part.column(name))
-    assert found is not None  # somebody asked for a column
     return found
