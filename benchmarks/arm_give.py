@@ -7,8 +7,9 @@ otherwise. Of the rows of a tabletop run that the arms of a rig have a motion to
 test a on arms, once for each gain: `G`, or `ARM:WRIST`, is a multiple of the stiffness of the servos in the
 arms' models (`arm.arm_gain`, `arm.wrist_gain`). Printed are medians over hands at the end of the squeeze:
 how far the hand frame is from where it was commanded, how much it is turned, by how much the wrist alone turns
-it, and the sum of the normal forces of one hand on the object; in brackets the 95th percentile. Early ends
-of loads are on, as in `validate`.
+it, and the sum of the normal forces of one hand on the object; in brackets the 95th percentile. Before it how
+fast the fastest joint of the arms still turns after the rest at the pre-grasp: servos that are too stiff for the time
+step never come to rest. Early ends of loads are on, as in `validate`.
 """
 
 from __future__ import annotations
@@ -59,6 +60,8 @@ class Given(NamedTuple):
     """By how much the wrist alone turns it [rad]; NaN on a weld, or without a wrist."""
     force: list[float]
     """Normal forces of each hand on the object, summed [N]."""
+    speed: list[float]
+    """Of each arm's fastest joint when the hands begin to close [rad/s]; NaN on a weld."""
 
 
 class _Give:
@@ -68,8 +71,11 @@ class _Give:
         self._pos, self._rot, self._q, self._arms = pos, rot, q, arms
         nothing = [float("nan")] * len(pos)
         self.shift, self.turn, self.wrist, self.force = nothing, nothing, nothing, nothing
+        self.speed = nothing
 
     def __call__(self, phase: str, lasted: float, scene: SimScene) -> None:
+        if phase == "approach" and self._arms is not None:
+            self.speed = [float(np.abs(scene.data.qvel[v]).max()) for v in self._arms.arm_qvel]
         if phase != "closing":
             return
         bodies = [
@@ -124,6 +130,7 @@ def summary(found: Sequence[Given]) -> dict[str, dict[str, Any]]:
             "turn_deg": np.degrees([g.turn for g in mine]),
             "wrist_deg": np.degrees([g.wrist for g in mine]),
             "force_n": np.array([g.force for g in mine]),
+            "speed": np.array([g.speed for g in mine]),
         }
         statuses = sorted({g.status for g in mine} - {"ok"})
         out[carrier] = {
@@ -141,18 +148,19 @@ def summary(found: Sequence[Given]) -> dict[str, dict[str, Any]]:
 def table(figures: dict[str, dict[str, Any]]) -> str:
     """The summary as Markdown."""
     lines = [
-        "| what carries the hands | rows | lifted and held | of those that the weld holds | gives way [mm] |"
-        " turns [degrees] | the wrist alone [degrees] | normal forces of a hand [N] |",
-        "|---|---|---|---|---|---|---|---|",
+        "| what carries the hands | rows | lifted and held | of those that the weld holds |"
+        " at the pre-grasp a joint turns at [rad/s] | gives way [mm] | turns [degrees] |"
+        " the wrist alone [degrees] | normal forces of a hand [N] |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for carrier, f in figures.items():
-        shift, turn = (
-            f"{_text(f[f'{n}_median'], digits)} ({_text(f[f'{n}_p95'], 1)})"
-            for n, digits in (("shift_mm", 2), ("turn_deg", 1))
+        speed, shift, turn = (
+            f"{_text(f[f'{n}_median'], digits)} ({_text(f[f'{n}_p95'], digits)})"
+            for n, digits in (("speed", 2), ("shift_mm", 2), ("turn_deg", 1))
         )
         lines.append(
             f"| {carrier} | {f['rows']} | {f['passed']} | {f['passed_of_held']} of "
-            f"{f['held_by_weld']} | {shift} | {turn} | {_text(f['wrist_deg_median'], 1)} | "
+            f"{f['held_by_weld']} | {speed} | {shift} | {turn} | {_text(f['wrist_deg_median'], 1)} | "
             f"{_text(f['force_n_median'], 1)} |"
         )
     return "\n".join(lines)
@@ -210,6 +218,7 @@ def _tested(
         give.turn,
         give.wrist,
         give.force,
+        give.speed,
     )
 
 

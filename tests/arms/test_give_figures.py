@@ -13,9 +13,9 @@ NAN = math.nan
 
 def given(name: str, carrier: str, status: str, mm: float) -> Given:
     wrist = [NAN, NAN] if carrier == WELD else [math.radians(2.0)] * 2
-    return Given(
-        name, 300, carrier, status, [mm / 1e3] * 2, [math.radians(1.0)] * 2, wrist, [5.0, 7.0]
-    )
+    pose = [mm / 1e3] * 2, [math.radians(1.0)] * 2, wrist
+    speed = [NAN if carrier == WELD else 0.1] * 2
+    return Given(name, 300, carrier, status, *pose, [5.0, 7.0], speed)
 
 
 def test_passes_are_counted_and_compared_with_those_on_the_weld():
@@ -35,11 +35,11 @@ def test_passes_are_counted_and_compared_with_those_on_the_weld():
     assert found["arms"]["force_n_median"] == pytest.approx(6.0)
     lines = table(found).splitlines()
     assert len({line.count("|") for line in lines}) == 1
-    assert "| arms | 3 | 2 | 1 of 2 | 4.00 " in lines[-1]
+    assert "| arms | 3 | 2 | 1 of 2 | 0.10 (0.10) | 4.00 " in lines[-1]
 
 
 def test_a_grasp_that_is_not_closed_counts_without_figures():
-    lost = Given("d", 300, "arms", "thrown", [NAN] * 2, [NAN] * 2, [NAN] * 2, [NAN] * 2)
+    lost = Given("d", 300, "arms", "thrown", *[[NAN] * 2] * 5)
     found = summary([given("a", "arms", "ok", 2.0), lost])["arms"]
     assert (found["rows"], found["passed"], found["shift_mm_median"]) == (2, 1, pytest.approx(2.0))
     assert "thrown" in summary([lost])["arms"]["failed"]
