@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from bidexdata.arms.config import ArmConfig
 from bidexdata.arms.robot import Robot
-from bidexdata.record.batch import ArmHeader
+from bidexdata.record.batch import ArmHeader, in_metres
 from bidexdata.record.fields import FIELDS, KEY_FRAMES
 from bidexdata.record.status import Status
 
@@ -50,6 +50,34 @@ class Grasps(NamedTuple):
     def select(self, rows: np.ndarray) -> Grasps:
         """Some of the grasps, by index or mask."""
         return Grasps(*(column[rows] for column in self))
+
+
+def stored_targets(
+    object_pos: Float[np.ndarray, " 3"],
+    object_quat_wxyz: Float[np.ndarray, " 4"],
+    size: float,
+    hand_pos: Float[np.ndarray, "N 2 3 3"],
+    hand_quat_wxyz: Float[np.ndarray, "N 2 3 4"],
+    joints: Float[np.ndarray, "N 2 3 J"],
+) -> Targets:
+    """Targets of grasps as the record stores them, float32; quaternions are made exactly unit.
+
+    Whoever asks about grasps that are not stored yet rounds them as the record will, and gets the
+    answer that the stored ones get.
+    """
+    return Targets(
+        object_pos.astype(np.float64),
+        _unit(object_quat_wxyz),
+        in_metres(size),
+        hand_pos.astype(np.float64),
+        _unit(hand_quat_wxyz),
+        joints.astype(np.float64),
+    )
+
+
+def _unit(quat: np.ndarray) -> np.ndarray:
+    quat64 = quat.astype(np.float64)
+    return quat64 / np.linalg.norm(quat64, axis=-1, keepdims=True)
 
 
 def join_targets(scenes: Sequence[Targets]) -> Grasps:

@@ -29,8 +29,8 @@ def arms(
         str | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="`bidexdata rigs` lists them; a YAML file of your own works. ur10e_post when left "
-            "out.",
+            help="`bidexdata rigs` lists them; a YAML file of your own works. When left out, that of "
+            "`synth --rig`, or else ur10e_post.",
         ),
     ] = None,
     device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
@@ -55,10 +55,9 @@ def arms(
     milliseconds_per_grasp (of CPU). They count this call only.
     """
     from bidexdata.arms.config import ArmConfig
-    from bidexdata.arms.registry import DEFAULT_RIG
     from bidexdata.kinds import expect_kind
     from bidexdata.runs.arm_folder import rig_name
-    from bidexdata.runs.arms import arms_run
+    from bidexdata.runs.arms import arms_run, rig_meant
     from bidexdata.runs.run import Run
 
     expect_kind(path, "run")
@@ -66,7 +65,7 @@ def arms(
     execution = options.execution_of(executor, workers, shard, quiet)
     run = Run.open(path)
     report = arms_run(run, rig, settings, execution=execution, device=device)
-    name = rig_name(rig or DEFAULT_RIG)
+    name = rig_name(rig or rig_meant(run))
     data = {"run": str(path), "rig": name, **_figures(report)}
     warn_of_failed(report, path)
     others = len(run.arm_rigs()) > 1

@@ -28,7 +28,7 @@ from bidexdata.wording import counted
 
 _OPTIONS = (
     *("--hand", "--sizes", "--grasps", "--candidates", "--setting", "--rest-poses"),
-    *("--preset", "--method", "--device", "--seed"),
+    *("--preset", "--method", "--rig", "--device", "--seed"),
 )
 """What a person may look for among the keys of the configuration."""
 
@@ -70,6 +70,13 @@ def synth(
             "`bidexdata presets METHOD` lists a peer's keys; --explain knows none of them."
         ),
     ] = DEFAULT_METHOD,
+    rig: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="tabletop: make grasps that these two arms can take; `bidexdata rigs` lists them.",
+        ),
+    ] = None,
     device: Annotated[str, typer.Option(help="cpu, or cuda:0 where there is one.")] = "cpu",
     explain: Annotated[
         str | None,
@@ -92,10 +99,12 @@ def synth(
     """Synthesise two-handed grasps.
 
     The same command goes on after a stop. On a table an object without a rest pose gives no scene.
+    With --rig, starts that the arms cannot take are drawn anew, and grasps without a motion of the
+    arms are not kept; `bidexdata arms RUN` then makes the motions.
 
-    --json keys: run, fingerprint, tasks, tasks_before, tasks_failed, without_scene (objects),
+    --json keys: run, fingerprint, rig (empty: none), tasks, tasks_before, tasks_failed, without_scene (objects),
     without_grasp (scenes that no grasp was kept of), n, selected, by_status, by_stage
-    (attempts by where they ended: regions, placement, optimisation, checks, ok), by_size (per
+    (attempts by where they ended: regions, placement, reach with a rig, optimisation, checks, ok), by_size (per
     size_mm: by_status, by_stage), seconds. tasks_failed and what follows without_scene are of this
     call only; `info` gives the whole run. seconds is the time that the whole command took, with the loading of packages and hands and
     the start of the workers.
@@ -117,6 +126,7 @@ def synth(
                 "--rest-poses": rest_poses is not None,
                 "--preset": preset != "default",
                 "--method": method != DEFAULT_METHOD,
+                "--rig": rig is not None,
                 "--shard": shard is not None,
                 "--seed": seed != 0,
                 "--config": config is not None,
@@ -149,6 +159,7 @@ def synth(
         grasps=grasps,
         candidates=candidates,
         seed=seed,
+        rig=rig or "",
     )
     report = synth_library(library, out, request, execution=execution, device=device)
     run = Run.open(out)
@@ -157,6 +168,7 @@ def synth(
     data: dict[str, Any] = {
         "run": str(out),
         "fingerprint": run.fingerprint,
+        "rig": run.spec.rig.name if run.spec.rig else "",
         "tasks": report.tasks,
         "tasks_before": report.before,
         "tasks_failed": len(report.failures),
@@ -171,6 +183,9 @@ def synth(
     }
     warn_of_failed(report, out)
     left_out = run.spec.without_scene
+    following = validate_again(out, fitting_protocol(run.spec))
+    if run.spec.rig is not None:
+        following = command("arms", out)
     done = report.before + report.finished
     if report.before == report.tasks:
         made = [f"{counted(report.tasks, 'task')} done before, none open"]
@@ -189,7 +204,7 @@ def synth(
             *([no_scene_text(left_out)] if left_out else []),
             *([no_grasp_text(report.without_grasp)] if report.without_grasp else []),
         ],
-        following=validate_again(out, fitting_protocol(run.spec)) if done else "",
+        following=following if done else "",
         as_json=as_json,
         quiet=quiet,
     )

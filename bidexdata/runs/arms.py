@@ -8,18 +8,16 @@ import os
 import time
 from collections import Counter, defaultdict
 from functools import lru_cache, partial
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bidexdata.config import from_plain, to_plain
-from bidexdata.devices import check_device, start_warp
+from bidexdata.devices import check_device
 from bidexdata.errors import NotUsable
 from bidexdata.extras import require
 from bidexdata.record import GraspBatch, Status
-from bidexdata.record.batch import in_metres
 from bidexdata.record.fields import columns_written_by
 from bidexdata.record.scene import scene_parts
 from bidexdata.runs.arm_folder import (
@@ -27,12 +25,14 @@ from bidexdata.runs.arm_folder import (
     folder_name,
     portable_spec,
     read_record,
+    resolve_spec,
     store_record,
     store_spheres,
 )
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.plan import Task
+from bidexdata.runs.rigged import load_arm_kernels, object_scenes
 from bidexdata.runs.run import Run, open_unchanged
 from bidexdata.runs.shards import done_tasks, shard_path, sweep, write_shard
 from bidexdata.runs.stage import StageReport, TaskExecution, TaskSummary, run_stage
@@ -43,12 +43,6 @@ if TYPE_CHECKING:
     from bidexdata.arms.robot import Robot
     from bidexdata.arms.solutions import Targets
     from bidexdata.objects.prepared import SignedDistanceGrid, Solid
-
-_KERNELS = (
-    "bidexdata.arms.chain_kernels",
-    "bidexdata.arms.ik_kernels",
-    "bidexdata.arms.clearance_kernels",
-)
 
 
 def arms_run(
@@ -63,7 +57,8 @@ def arms_run(
 
     Args:
         run: Rows of two hands on a table; unfinished tasks are left out.
-        rig: A name, or the path of a rig's spec; the default rig when omitted.
+        rig: A name, or the path of a rig's spec; that which the grasps were made for when omitted,
+            or else the default one.
         config: How motions are searched and checked.
         execution: Where and how.
         device: Warp device of the workers.
@@ -96,7 +91,7 @@ def arms_run(
     sweep([folder])
     done = done_tasks(folder)
     if execution.executor != "ray" and any(t.task_id not in done for t in tasks):
-        _load_kernels(device)
+        load_arm_kernels(device)
     return run_stage(
         tasks,
         done,
@@ -151,22 +146,13 @@ def arm_columns(
 
 def targets_of(batch: GraspBatch, rows: np.ndarray) -> Targets:
     """Read rows of one scene in float64, quaternions made exactly unit."""
-    from bidexdata.arms.solutions import Targets
+    from bidexdata.arms.solutions import stored_targets
 
     first = int(rows[0])
-    return Targets(
-        batch.object_pos[first].astype(np.float64),
-        _unit(batch.object_quat_wxyz[first]),
-        in_metres(batch["size"][first]),
-        batch.hand_pos[rows].astype(np.float64),
-        _unit(batch.hand_quat_wxyz[rows]),
-        batch.joints[rows].astype(np.float64),
+    return stored_targets(
+        *(batch.object_pos[first], batch.object_quat_wxyz[first], batch["size"][first]),
+        *(batch.hand_pos[rows], batch.hand_quat_wxyz[rows], batch.joints[rows]),
     )
-
-
-def _unit(quat: np.ndarray) -> np.ndarray:
-    quat64 = quat.astype(np.float64)
-    return quat64 / np.linalg.norm(quat64, axis=-1, keepdims=True)
 
 
 def _of_one_scene(batch: GraspBatch, rows: np.ndarray) -> list[np.ndarray]:
@@ -176,6 +162,13 @@ def _of_one_scene(batch: GraspBatch, rows: np.ndarray) -> list[np.ndarray]:
         pose = [batch["size"][row], *batch.object_pos[row], *batch.object_quat_wxyz[row]]
         found.setdefault(np.array(pose, np.float32).tobytes(), []).append(int(row))
     return [np.array(some) for some in found.values()]
+
+
+def rig_meant(run: Run) -> str:
+    """The rig that is taken where nobody names one: that which the grasps were made for, if any."""
+    from bidexdata.arms.registry import DEFAULT_RIG
+
+    return DEFAULT_RIG if run.spec.rig is None else resolve_spec(run.spec.rig.rig, run.path)
 
 
 def heaviest_object(run: Run) -> float:
@@ -222,10 +215,10 @@ def _record(run: Run, rig: str | Path | None, config: ArmConfig | None) -> tuple
     """
     from bidexdata.arms.config import ArmConfig
     from bidexdata.arms.payload import require_payload
-    from bidexdata.arms.registry import DEFAULT_RIG, load_rig
+    from bidexdata.arms.registry import load_rig
     from bidexdata.arms.robot import mount_robot
 
-    given = str(rig or DEFAULT_RIG)
+    given = str(rig or rig_meant(run))
     robot = mount_robot(load_rig(given), run.hands())
     require_payload(robot, heaviest_object(run))
     record = ArmsRecord(
@@ -239,15 +232,6 @@ def _record(run: Run, rig: str | Path | None, config: ArmConfig | None) -> tuple
         versions=package_versions(),
     )
     return record, robot
-
-
-def _load_kernels(device: str) -> None:
-    """Load the kernels, so that workers find them compiled."""
-    import warp as wp
-
-    start_warp()
-    for name in _KERNELS:
-        wp.load_module(import_module(name), device=device)
 
 
 def _arms_task(
@@ -302,9 +286,7 @@ def _object(
     run_path: str, run_fingerprint: str, rig: str, mark: str, object_id: str
 ) -> tuple[SignedDistanceGrid, SizedArmScenes | None]:
     """Distances and scenes of one object, kept while tasks are of the same."""
-    from bidexdata.arms.arm_scene import SizedArmScenes
     from bidexdata.objects.sdf import grid_of_pieces
-    from bidexdata.simulation.scene import SceneNotBuilt
 
     run = open_unchanged(run_path, run_fingerprint, rig)
     robot, _ = _robot_and_config(run_path, run_fingerprint, rig, mark)
@@ -315,8 +297,4 @@ def _object(
     else:
         solid = obj = run.library.load(object_id)
         field = obj.sdf
-    try:
-        return field, SizedArmScenes(robot, solid)
-    except SceneNotBuilt as err:
-        logging.getLogger(__name__).warning("%s; its arms are checked by spheres alone", err)
-        return field, None
+    return field, object_scenes(robot, solid)

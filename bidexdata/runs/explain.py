@@ -22,6 +22,7 @@ from bidexdata.runs.explain_words import StageWords, stage_words
 from bidexdata.runs.first_digits import id_digits, require_one
 from bidexdata.runs.made_with import made_with
 from bidexdata.runs.plan import Task, scene_of
+from bidexdata.runs.rigged import reach_of_object
 from bidexdata.runs.run import Run
 from bidexdata.runs.shards import read_mark, shard_path, write_atomically, write_text
 from bidexdata.runs.synth import round_seed
@@ -167,6 +168,7 @@ def explain_grasp(
         run_fingerprint=run.fingerprint,
         first_attempt=one_round.first_attempt,
         device=device,
+        reach=reach_of_object(run, task.object_id, device=device),
     )
     stored = run.task_batch(task)
     stored = stored.select(stored["scene_id"] == named.scene_id)

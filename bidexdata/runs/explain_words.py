@@ -33,8 +33,8 @@ class StageWords(NamedTuple):
     """What one stage did."""
 
     stage: str
-    """`regions`, `start`, `approach`, `pregrasp`, `grasp`, `forces`, `squeeze`, `checks`,
-    `selection` or `audit`."""
+    """`regions`, `start`, `approach`, `pregrasp`, `grasp`, `forces`, `squeeze`, `checks`, `reach`
+    (of runs that are made for a rig), `selection` or `audit`."""
     text: str
     passed: bool | None = None
     """Whether the attempt came through; None where the stage decides nothing."""
@@ -58,6 +58,7 @@ def stage_words(one: Explanation, config: SynthConfig, grasps: int) -> list[Stag
             _forces(one, one.finished, config),
             _squeeze(at),
             _checks(one, one.finished, config),
+            *_reach(one.finished),
         ]
     return [*said, _selection(one, config, grasps), _audit(one, grasps)]
 
@@ -83,6 +84,12 @@ def _start(one: Explanation, config: SynthConfig) -> list[StageWords]:
         return []
     if not placed.ok[one.number]:
         drawn = counted(config.placement.draws, "draw")
+        if not placed.reachable[one.number]:
+            text = (
+                f"{Status.NOT_REACHABLE.sentence}: in {drawn} the arms could bring the hands to no "
+                "start that is clear of the table and the other hand; the last is shown"
+            )
+            return [StageWords("start", text, False)]
         last = "the hands meet" if placed.above[one.number] else "a hand would reach into the table"
         text = f"{Status.NO_PLACEMENT.sentence}, in {drawn}; in the last, which is shown, {last}"
         return [StageWords("start", text, False)]
@@ -182,14 +189,24 @@ def _checks(one: Explanation, done: Finished, config: SynthConfig) -> StageWords
         Status.SELF_PENETRATION_LEFT: (done.among_hands, select.hands_depth),
         Status.TABLE_PENETRATION: (done.table, select.table_depth),
     }
-    if not done.reasons:
+    failed = [reason for reason in done.reasons if reason is not Status.NOT_REACHABLE]
+    if not failed:
         return StageWords("checks", "passed", True)
     said = []
-    for reason in done.reasons:
+    for reason in failed:
         depth, most = measured.get(reason, (None, 0.0))
         by = "" if depth is None else f" ({_mm(depth)}, limit {_mm(most)})"
         said.append(f"{reason.label}: {reason.sentence}{by}")
     return StageWords("checks", f"failed: {'; '.join(said)}", False)
+
+
+def _reach(done: Finished) -> list[StageWords]:
+    if done.arms is None:
+        return []
+    if done.arms is Status.OK:
+        return [StageWords("reach", "the arms have a motion that takes it", True)]
+    text = f"the arms cannot take it: {done.arms.label}: {done.arms.sentence}"
+    return [StageWords("reach", text, False)]
 
 
 def _selection(one: Explanation, config: SynthConfig, grasps: int) -> StageWords:

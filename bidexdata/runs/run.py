@@ -105,13 +105,15 @@ class Run:
     def rig(self) -> str:
         """Name of the rig that is meant; empty where the run has no arm solutions.
 
-        That asked for; else the default one, or the only one that has solutions.
+        That asked for; else the only one that has solutions, that which the grasps were made for,
+        or the default one.
 
         Raises:
             NotUsable: There are several and no saying which is meant.
         """
         if not self.asked_rig and "rig" not in self._chosen:
-            found = chosen_rig(self.path)
+            made_for = self.spec.rig
+            found = chosen_rig(self.path, made_for.name if made_for else "")
             if not found:
                 return ""  # there may be one later
             self._chosen["rig"] = found

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from bidexdata.config import differing_keys, fingerprint, from_plain, to_plain
+from bidexdata.config import OMIT_NONE, differing_keys, fingerprint, from_plain, to_plain
 from bidexdata.errors import BidexError, ConfigConflict, Contradiction, PathNotFound
 from bidexdata.kinds import RUN_FILE
 from bidexdata.record import HandHeader
@@ -20,6 +20,24 @@ from bidexdata.record.scene import Setting
 from bidexdata.runs.plan import Round
 from bidexdata.runs.shards import write_text
 from bidexdata.synthesis.method_names import DEFAULT_METHOD
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunRig:
+    """The arms that a run's grasps are made for."""
+
+    name: str
+    """Of the rig."""
+    rig: str
+    """What `--rig` was: a name, or the path of a spec relative to the run."""
+    digest: str
+    """Of the robot: the rig, its models and both hands."""
+    config: Mapping[str, Any] = field(default_factory=dict)
+    """Plain data of the `ArmConfig` by which reach is judged."""
+
+    def identity(self) -> dict[str, Any]:
+        """What may never change: everything but the path."""
+        return {"name": self.name, "robot": self.digest, "config": to_plain(self.config)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,6 +71,8 @@ class RunSpec:
     versions: Mapping[str, str] = field(default_factory=dict)
     """Of the packages that started the run; information only. Each shard says its own."""
     schema_version: str = SCHEMA_VERSION
+    rig: RunRig | None = field(default=None, metadata=OMIT_NONE)
+    """Arms that must be able to take the grasps; none as a rule."""
 
     @property
     def of_release(self) -> bool:
@@ -75,6 +95,7 @@ class RunSpec:
         poses = {"rest_poses": self.rest_poses} if self.rest_poses else {}
         # The default method is left out, so that runs keep the fingerprints they had before.
         method = {"method": self.method} if self.method not in ("", DEFAULT_METHOD) else {}
+        rig = {} if self.rig is None else {"rig": self.rig.identity()}
         return {
             "kind": self.kind,
             **method,
@@ -85,6 +106,7 @@ class RunSpec:
             **poses,
             "library": {"fingerprint": self.source_fingerprint},
             "seed": self.seed,
+            **rig,
         }
 
     @property
@@ -117,6 +139,10 @@ def grown(folder: Path, old: RunSpec, wanted: RunSpec) -> RunSpec:
         own = [text for text in differing if not text.startswith("config.")]
         if len(own) < len(differing):
             differing = [f"preset: {old.preset!r} -> {wanted.preset!r}", *own]
+    was, asked = (spec.rig.name if spec.rig else "" for spec in (old, wanted))
+    if was != asked:
+        differing = [text for text in differing if not text.startswith("rig")]
+        differing.append(f"rig: {was!r} -> {asked!r}")
     grasps, candidates = wanted.grasps or 0, wanted.candidates or 0
     had_grasps, had_candidates = old.grasps or 0, old.candidates or 0
     if grasps < had_grasps:

@@ -20,6 +20,7 @@ from bidexdata.extras import require
 from bidexdata.kinds import kind_of
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.scene import Setting, scene_parts, setting_of
+from bidexdata.runs.arm_folder import store_spheres
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.plan import (
@@ -31,6 +32,7 @@ from bidexdata.runs.plan import (
     scene_of,
     write_plan,
 )
+from bidexdata.runs.rigged import load_arm_kernels, reach_of_object, rig_of_run, robot_of_run
 from bidexdata.runs.run import Run, open_unchanged
 from bidexdata.runs.run_folder import PLAN_FILE, refuse_foreign
 from bidexdata.runs.shards import done_tasks, shard_path, sweep, write_shard
@@ -74,6 +76,8 @@ class SynthRequest:
     candidates: int | None = None
     """Attempts per scene; None: the configuration's multiple of the grasps."""
     seed: int = 0
+    rig: str | Path = ""
+    """Arms that must be able to take the grasps: a name, or the path of a spec; empty: none."""
 
     def __post_init__(self) -> None:
         from bidexdata.synthesis.methods import load_method
@@ -100,6 +104,11 @@ class SynthRequest:
             raise BadConfig(
                 "--rest-poses belongs to --setting tabletop: a floating object has none"
             )
+        if self.rig and self.setting == "floating":
+            raise BadConfig(
+                "--rig belongs to --setting tabletop: arms need a table to stand at, and a floating "
+                "object has none"
+            )
         if self.rest_poses is not None and self.rest_poses < 1:
             raise BadValue(f"--rest-poses {self.rest_poses}: give at least 1")
 
@@ -125,23 +134,28 @@ def synth_library(
 
     Raises:
         PathNotFound: There is no library.
-        UnknownName: There is no such hand.
-        NotUsable: There is no such device.
+        UnknownName: There is no such hand or rig.
+        NotUsable: There is no such device, or the rig cannot be used.
         ConfigConflict: `out` is a run of another configuration.
         MissingExtra: A package that synthesises is not installed.
     """
     from bidexdata.objects.library import Library
 
-    require("mujoco", "scipy", "warp")
+    require("mujoco", "scipy", "warp", *(("osqp",) if request.rig else ()))
     execution = execution or TaskExecution()
     if execution.executor != "ray":  # whose workers have devices of their own
         check_device(device)
     run = start_run(Library.open(library), Path(out), request)
     tasks = execution.part_of(run.tasks)
     sweep([run.stage_folder("rows")])
+    done = done_tasks(run.stage_folder("rows"))
+    if run.spec.rig is not None and any(t.task_id not in done for t in tasks):
+        store_spheres(run.path, run.spec.rig.name, robot_of_run(run))
+        if execution.executor != "ray":
+            load_arm_kernels(device)
     return run_stage(
         tasks,
-        done_tasks(run.stage_folder("rows")),
+        done,
         partial(_synth_task, str(run.path), run.fingerprint, device),
         unit="task",
         logs=run.path / "logs",
@@ -157,8 +171,9 @@ def start_run(library: Library, out: Path, request: SynthRequest) -> Run:
         refuse_foreign(out)
         sweep([out])
     wanted = _wanted(library, out, request, old)
-    # The same library may have moved: where it lies now is no other configuration.
-    spec = wanted if old is None else replace(grown(out, old, wanted), source=wanted.source)
+    # The library or the rig may have moved: where they lie now is no other configuration.
+    moved = {"source": wanted.source, "rig": wanted.rig}
+    spec = wanted if old is None else replace(grown(out, old, wanted), **moved)
     out.mkdir(parents=True, exist_ok=True)
     if spec != old:
         write_spec(out, spec)
@@ -182,7 +197,7 @@ def _wanted(library: Library, out: Path, request: SynthRequest, old: RunSpec | N
         candidates = old.candidates + max(grasps - had, 0) * per_grasp
     else:
         candidates = grasps * per_grasp
-    return RunSpec(
+    spec = RunSpec(
         method=request.method,
         preset=request.preset,
         config=to_plain(request.config),
@@ -198,6 +213,9 @@ def _wanted(library: Library, out: Path, request: SynthRequest, old: RunSpec | N
         rounds=(Round(grasps, candidates),),
         versions=package_versions(),
     )
+    if not request.rig:
+        return spec
+    return replace(spec, rig=rig_of_run(request.rig, hands, out, library, spec))
 
 
 def _rest_poses(request: SynthRequest) -> int:
@@ -253,6 +271,7 @@ def _synth_task(run_path: str, run_fingerprint: str, device: str, task: Task) ->
         candidates=one.candidates,
         first_attempt=one.first_attempt,
         device=device,
+        reach=reach_of_object(run, task.object_id, device=device),
     )
     batch = with_run_header(batch, run)
     path = shard_path(run.stage_folder("rows"), task.task_id)

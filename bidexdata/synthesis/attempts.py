@@ -23,6 +23,7 @@ from bidexdata.synthesis.table import table_plane
 from bidexdata.synthesis.workspace import Start
 
 if TYPE_CHECKING:
+    from bidexdata.arms.reach import Reach
     from bidexdata.hands.model import Hand
     from bidexdata.objects.prepared import PreparedObject
     from bidexdata.synthesis.config import SynthConfig
@@ -94,6 +95,7 @@ def draw_attempts(
     *,
     grown: bool = False,
     device: str = "cpu",
+    reach: Reach | None = None,
 ) -> Attempts:
     """Choose region pairs and place the palms for `count` attempts of a scene.
 
@@ -106,6 +108,7 @@ def draw_attempts(
         count: M.
         grown: Earlier rounds have made attempts of this scene; they may have had the same pairs.
         device: Warp device of the regions; palms are placed on the CPU.
+        reach: Arms that must be able to bring the hands to their starts.
     """
     own = scene_seed(seed, scene.scene_id)
     # A region is judged by as many contacts as the hand that comes to it can make.
@@ -129,6 +132,7 @@ def draw_attempts(
                 *(config.placement, np.random.default_rng([own, 1]), count),
                 grown=grown,
                 kind=(k, len(sets)),
+                reach=reach,
             )
             for k, name in enumerate(sets)
         ]
@@ -137,6 +141,7 @@ def draw_attempts(
     joints = [placed.joints[ok, h, : len(hand.joint_names)] for h, hand in enumerate(hands)]
     nearest_of = config.optimise.energy.region_distance
     targets = pairs.points if nearest_of == "points" else pairs.centres[:, :, None]
+    failed = np.where(placed.reachable, Status.NO_PLACEMENT, Status.NOT_REACHABLE)
     start = Start(
         size=np.full(ok.sum(), scene.size),
         position=placed.hand_pos[ok],
@@ -148,7 +153,7 @@ def draw_attempts(
     return Attempts(
         scene=scene,
         seed=own,
-        status=np.where(ok, Status.OK, Status.NO_PLACEMENT).astype(np.int8),
+        status=np.where(ok, Status.OK, failed).astype(np.int8),
         region_id=pairs.anchors[pair],
         region_score=pairs.score[pair],
         contact_set=tuple(sets[k % len(sets)] for k in range(count)),

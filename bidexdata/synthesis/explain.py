@@ -28,6 +28,7 @@ from bidexdata.synthesis.selection import failures, selection_order
 from bidexdata.synthesis.trace import Recorder, Trace
 
 if TYPE_CHECKING:
+    from bidexdata.arms.reach import Reach
     from bidexdata.hands.model import Hand
     from bidexdata.objects.prepared import PreparedObject
     from bidexdata.synthesis.config import SynthConfig
@@ -71,6 +72,8 @@ class Finished(NamedTuple):
     """Deepest overlap of hands and table at any stage [m]."""
     reasons: tuple[Status, ...]
     """Every reason by which the attempt fails; the first is its status."""
+    arms: Status | None
+    """What the arms of the rig come to; None without a rig, or where the attempt failed before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -122,6 +125,7 @@ def explain_attempt(
     run_fingerprint: str = "",
     first_attempt: int = 0,
     device: str = "cpu",
+    reach: Reach | None = None,
 ) -> Explanation:
     """Make a scene's grasps again and keep one attempt's way.
 
@@ -137,9 +141,12 @@ def explain_attempt(
         run_fingerprint: Names the run in the grasps' ids.
         first_attempt: Number of the round's first attempt.
         device: Warp device.
+        reach: Arms that the grasps are made for.
     """
     grown = first_attempt > 0
-    one = draw_attempts(obj, hands, scene, config, seed, candidates, grown=grown, device=device)
+    one = draw_attempts(
+        *(obj, hands, scene, config, seed, candidates), grown=grown, device=device, reach=reach
+    )
     placed, touching = one.status == Status.OK, one.contact_set[number]
     views = (contact_view(hands[0], touching), contact_view(hands[1], touching))
     row = int(np.count_nonzero(placed[:number])) if placed[number] else None
@@ -147,7 +154,9 @@ def explain_attempt(
     if row is not None:
         recorder = Recorder(one.start_sets[:row].count(touching), views, config.optimise)
     search = partial(search_bilevel, watch=recorder)
-    staged = grasp_attempts(obj, hands, [one], config, device, searches={touching: search})
+    staged = grasp_attempts(
+        obj, hands, [one], config, device, searches={touching: search}, reach=reach
+    )
     starts = np.arange(np.count_nonzero(placed))
     found = outcome(one, staged, starts, grasps, config.selection)
     trace = None if recorder is None else recorder.trace()
@@ -219,6 +228,12 @@ def _finished(staged: Staged, row: int, hands: Sequence[Hand], config: Selection
         table=deep.table[one],
     )
 
+    reasons = [reason for reason, failed in checks.items() if failed[0]]
+    arms = None
+    if staged.arm_status is not None and not reasons:
+        arms = Status(int(staged.arm_status[row]))
+        reasons += [] if arms is Status.OK else [Status.NOT_REACHABLE]
+
     def per_hand(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         left, right = (values[row, h, : len(hand.contact_names)] for h, hand in enumerate(hands))
         return left, right
@@ -232,5 +247,6 @@ def _finished(staged: Staged, row: int, hands: Sequence[Hand], config: Selection
         gaps=per_hand(contacts.gaps),
         among_hands=float(deep.among_hands[row]),
         table=float(deep.table[row]),
-        reasons=tuple(reason for reason, failed in checks.items() if failed[0]),
+        reasons=tuple(reasons),
+        arms=arms,
     )

@@ -23,6 +23,7 @@ from bidexdata.synthesis.optimise import Optimised, Watch
 from bidexdata.synthesis.staging import Press, squeeze
 
 if TYPE_CHECKING:
+    from bidexdata.arms.reach import Reach
     from bidexdata.hands.model import Hand
     from bidexdata.objects.prepared import PreparedObject
     from bidexdata.record import Scene
@@ -47,6 +48,7 @@ class Draw(Protocol):
         *,
         grown: bool = False,
         device: str = "cpu",
+        reach: Reach | None = None,
     ) -> Attempts: ...
 
 

@@ -31,6 +31,7 @@ from bidexdata.synthesis.methods import MethodConfig, Search, method_of
 from bidexdata.synthesis.opening import opened, within_limits
 from bidexdata.synthesis.optimise import Optimised
 from bidexdata.synthesis.overlaps import deepest_overlaps
+from bidexdata.synthesis.reaching import arm_statuses
 from bidexdata.synthesis.results import GraspContacts, Made, Outcome, Staged
 from bidexdata.synthesis.rows import scene_rows
 from bidexdata.synthesis.selection import SelectionConfig, audit, best, doubts, judge
@@ -38,6 +39,7 @@ from bidexdata.synthesis.settling import Settled, settled
 from bidexdata.synthesis.staging import Press
 
 if TYPE_CHECKING:
+    from bidexdata.arms.reach import Reach
     from bidexdata.hands.model import Hand
     from bidexdata.objects.prepared import PreparedObject
 
@@ -54,6 +56,7 @@ def synthesize(
     candidates: int | None = None,
     first_attempt: int = 0,
     device: str = "cpu",
+    reach: Reach | None = None,
 ) -> GraspBatch:
     """Make grasps of one object in one or several scenes.
 
@@ -68,6 +71,8 @@ def synthesize(
         candidates: M, attempts per scene; `config.selection.candidates_per_grasp` N when omitted.
         first_attempt: Number of the first attempt, when a run grows.
         device: Warp device; palms are placed on the CPU.
+        reach: Arms that the grasps are made for: starts that they cannot take are drawn anew, and
+            grasps that they cannot take have the status NOT_REACHABLE.
 
     Returns:
         The rows that are selected or audited, scene after scene, ordered by attempt; the header
@@ -80,9 +85,10 @@ def synthesize(
     grown = first_attempt > 0
     draw = method_of(config).draw
     attempts = [
-        draw(obj, hands, s, config, seed, count, grown=grown, device=device) for s in scenes
+        draw(obj, hands, s, config, seed, count, grown=grown, device=device, reach=reach)
+        for s in scenes
     ]
-    staged = grasp_attempts(obj, hands, attempts, config, device)
+    staged = grasp_attempts(obj, hands, attempts, config, device, reach=reach)
     made = []
     for one, rows in zip(attempts, rows_per_scene(attempts), strict=True):
         found = outcome(one, staged, rows, grasps, config.selection)
@@ -104,6 +110,7 @@ def grasp_attempts(
     device: str = "cpu",
     *,
     searches: Mapping[ContactSet, Search] | None = None,
+    reach: Reach | None = None,
 ) -> Staged:
     """Find the poses of all starts, balance the contact forces, and aim the squeeze.
 
@@ -114,6 +121,7 @@ def grasp_attempts(
         config: All constants; its class says the method.
         device: Warp device.
         searches: In place of the method's own, for attempts of some contact sets.
+        reach: Arms that must be able to take the grasps.
     """
     names = np.array([name for one in attempts for name in one.start_sets], str)
     method, own = method_of(config), searches or {}
@@ -128,7 +136,7 @@ def grasp_attempts(
         parts.append(_grasp_set(obj, hands, name, some, config, device, search))
         places.append(rows)
     made: Made = parts[0] if len(parts) == 1 else _scattered(parts, places)
-    stages = (made.pregrasp, made.grasp, made.squeeze)
+    stages = made.stages
     finite = np.logical_and.reduce([pose.finite() for pose in stages])
     deep = deepest_overlaps(obj, hands, attempts, stages, finite)
     status = judge(
@@ -139,7 +147,11 @@ def grasp_attempts(
     size = np.concatenate([one.start.size for one in attempts])
     field, model = device_field(obj.sdf, device), config.selection.settling
     rest = settled(field, hands, stages, size, model, device)
-    return Staged(made, rest, deep, status)
+    if reach is None:
+        return Staged(made, rest, deep, status)
+    arms = arm_statuses(reach, attempts, stages, np.equal(status, Status.OK))
+    beyond = (status == Status.OK) & (arms != Status.OK)
+    return Staged(made, rest, deep, np.where(beyond, np.int8(Status.NOT_REACHABLE), status), arms)
 
 
 def _grasp_set(

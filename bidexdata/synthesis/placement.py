@@ -4,7 +4,8 @@ A hand hangs over the point of the hull that is nearest to its region, palm norm
 hull's, so far out that its lowest fingertip and all its spheres are clear of the hull. The object
 lies inside its hull, so no start touches it. On a table, fingers point down rather than up, and a
 hand that would reach into the table is moved up along the hull, as far as it may. Starts in which
-the hands meet each other or the table are drawn anew.
+the hands meet each other or the table are drawn anew, and so are those that the arms of a rig cannot
+bring the hands to, where there is one.
 
 Source: BiDexGrasp 4.2 and appendix B; distances and spreads are ours (the paper gives none).
 """
@@ -14,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -33,9 +34,13 @@ from bidexdata.synthesis.placement_shapes import (
     start_shapes,
     tangent_frames,
 )
+from bidexdata.synthesis.pose import Pose
 from bidexdata.synthesis.regions import RegionPairs
 from bidexdata.synthesis.regions_build import hull_depth
 from bidexdata.synthesis.table import raise_hands, table_plane
+
+if TYPE_CHECKING:
+    from bidexdata.arms.reach import Reach
 
 # Numbers that one hand's start draws: roll, tilt angle, tilt direction, two shifts; and where
 # within its region it hangs, if that is drawn: which point, and how far towards it.
@@ -128,6 +133,8 @@ class Placement(NamedTuple):
     """Clear of each other and of the table; the poses of the others are their last draw."""
     above: Bool[np.ndarray, " M"]
     """Whether the draw that is given is clear of the table."""
+    reachable: Bool[np.ndarray, " M"]
+    """False where draws were clear of all, and arms could bring the hands to none of them."""
 
 
 def place_palms(
@@ -141,10 +148,11 @@ def place_palms(
     *,
     grown: bool = False,
     kind: tuple[int, int] = (0, 1),
+    reach: Reach | None = None,
 ) -> Placement:
     """Place both hands for `count` attempts, which take the region pairs in turn.
 
-    An attempt's draws do not depend on how many attempts follow it.
+    An attempt's draws do not depend on how many attempts follow it, nor on whether there are arms.
 
     Args:
         obj: Gives the hull.
@@ -157,6 +165,7 @@ def place_palms(
         grown: Earlier attempts of the scene exist, so every pair may have had its first.
         kind: (k, n): of `count` attempts only every n-th from the k-th on, when n kinds of attempts
             take turns; each kind then takes the pairs in their order.
+        reach: Arms that must be able to bring the hands there; any place will do without.
     """
     used = min(len(pairs.score), config.pairs)
     draws = _DRAWS + (_PLACE_DRAWS if config.repeats == "region" else 0)
@@ -172,7 +181,7 @@ def place_palms(
     shapes = [start_shapes(hand, config.over) for hand in hands]
 
     pos, quat = np.zeros((count, 2, 3)), np.zeros((count, 2, 4))
-    ok, above = np.zeros(count, bool), np.ones(count, bool)
+    ok, above, reachable = np.zeros(count, bool), np.ones(count, bool), np.ones(count, bool)
     on_table, plane = scene.setting == "tabletop", table_plane(scene)
     todo = np.arange(count)
     for draw in range(config.draws):
@@ -205,11 +214,30 @@ def place_palms(
             spheres[h] = [balls, radius]
         above[todo] = free
         free = free & hands_apart(spheres[0], spheres[1], config.clearance)
+        if reach is not None:
+            clear = todo[free]
+            reached = _reached(reach, scene, pos[clear], quat[clear])
+            free[free], reachable[clear] = reached, reached
         ok[todo[free]] = True
         todo = todo[~free]
         if not len(todo):
             break
-    return Placement(pair_index, pos, quat, _postures(hands, shapes, flat), ok, above)
+    postures = _postures(hands, shapes, flat)
+    return Placement(pair_index, pos, quat, postures, ok, above, reachable)
+
+
+def _reached(
+    reach: Reach,
+    scene: Scene,
+    pos: Float[np.ndarray, "n 2 3"],
+    quat: Float[np.ndarray, "n 2 4"],
+) -> Bool[np.ndarray, " n"]:
+    """Tell which starts arms can bring the hands to; poses in the object frame."""
+    none = np.zeros((len(pos), 0))
+    world = Pose(pos, quat, (none, none)).moved(
+        np.array(scene.object_pos), np.array(scene.object_quat_wxyz)
+    )
+    return reach.placements(scene, world.position, world.quat_wxyz)
 
 
 def interleaved(turns: Sequence[Placement]) -> Placement:

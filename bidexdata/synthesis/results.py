@@ -59,6 +59,11 @@ class Made(NamedTuple):
     force_scale: Float[np.ndarray, "K 2"]
     """[N] per unit of force."""
 
+    @property
+    def stages(self) -> tuple[Pose, Pose, Pose]:
+        """Pre-grasp, grasp and squeeze."""
+        return self.pregrasp, self.grasp, self.squeeze
+
 
 class Staged(NamedTuple):
     """The same grasps, looked at."""
@@ -69,6 +74,8 @@ class Staged(NamedTuple):
     overlaps: Overlaps
     """Each (K,)."""
     status: Int8[np.ndarray, " K"]
+    arm_status: Int8[np.ndarray, " K"] | None = None
+    """What the arms of the rig come to, NO_GRASP where a grasp failed before; None without a rig."""
 
 
 class Outcome(NamedTuple):

@@ -8,11 +8,11 @@ import numpy as np
 
 from bidexdata import __version__
 from bidexdata.config import fingerprint
-from bidexdata.frames import quat_canonical
 from bidexdata.record import GraspBatch, Header, Scene, Status
 from bidexdata.record.batch import empty_columns
 from bidexdata.record.fields import columns_written_by
 from bidexdata.synthesis.attempts import Attempts, grasp_ids
+from bidexdata.synthesis.reaching import world_place, world_stages
 
 if TYPE_CHECKING:
     from bidexdata.hands.model import Hand
@@ -82,9 +82,8 @@ def _identify(
     made["size_mm"] = np.full(n, scene.size_mm, np.int32)
     made["size"] = np.full(n, scene.size, np.float32)
     made["setting"] = np.full(n, scene.setting)
-    made["object_pos"] = np.tile(np.array(scene.object_pos, np.float32), (n, 1))
-    quat = quat_canonical(np.array(scene.object_quat_wxyz))
-    made["object_quat_wxyz"] = np.tile(quat.astype(np.float32), (n, 1))
+    pos, quat = world_place(scene)
+    made["object_pos"], made["object_quat_wxyz"] = np.tile(pos, (n, 1)), np.tile(quat, (n, 1))
     made["sides"] = np.tile(np.array([0, 1], np.int8), (n, 1))
     made["attempt"] = numbers.astype(np.int32)
     made["seed"] = np.full(n, attempts.seed, np.int64)
@@ -93,12 +92,9 @@ def _identify(
 def _pose(
     made: dict[str, np.ndarray], scene: Scene, staged: Staged, at: np.ndarray, rows: np.ndarray
 ) -> None:
-    for s, pose in enumerate((staged.made.pregrasp, staged.made.grasp, staged.made.squeeze)):
-        world = pose.rows(rows).moved(np.array(scene.object_pos), np.array(scene.object_quat_wxyz))
-        made["hand_pos"][at, :, s] = world.position
-        made["hand_quat_wxyz"][at, :, s] = quat_canonical(world.quat_wxyz)
-        for h, joints in enumerate(world.joints):
-            made["joints"][at, h, s, : joints.shape[1]] = joints
+    world = world_stages(scene, staged.made.stages, rows)
+    for name, values in world._asdict().items():
+        made[name][at] = values
 
 
 def _figures(made: dict[str, np.ndarray], staged: Staged, at: np.ndarray, rows: np.ndarray) -> None:

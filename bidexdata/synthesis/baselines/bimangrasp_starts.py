@@ -20,6 +20,7 @@ from bidexdata.synthesis.regions import no_pairs
 from bidexdata.synthesis.workspace import Start, free_variables
 
 if TYPE_CHECKING:
+    from bidexdata.arms.reach import Reach
     from bidexdata.hands.model import Hand
     from bidexdata.objects.prepared import PreparedObject
     from bidexdata.synthesis.baselines.bimangrasp_config import (
@@ -43,6 +44,7 @@ def draw_starts(
     *,
     grown: bool = False,
     device: str = "cpu",
+    reach: Reach | None = None,
 ) -> Attempts:
     """Place both hands for `count` attempts of a scene; no start is refused.
 
@@ -55,6 +57,7 @@ def draw_starts(
         count: M.
         grown: Has no effect: every round has a seed of its own.
         device: Has no effect: starts are drawn on the CPU.
+        reach: Has no effect: arms are asked about the grasps alone.
 
     Raises:
         BadConfig: The scene has a table, which BimanGrasp's energies do not know.

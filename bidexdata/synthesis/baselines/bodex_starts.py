@@ -21,6 +21,7 @@ from bidexdata.synthesis.table import table_plane
 from bidexdata.synthesis.workspace import Start
 
 if TYPE_CHECKING:
+    from bidexdata.arms.reach import Reach
     from bidexdata.hands.model import Hand
     from bidexdata.objects.prepared import PreparedObject
     from bidexdata.synthesis.baselines.bodex_config import BodexConfig, BodexStartConfig
@@ -49,6 +50,7 @@ def draw_starts(
     *,
     grown: bool = False,
     device: str = "cpu",
+    reach: Reach | None = None,
 ) -> Attempts:
     """Place both hands for `count` attempts of a scene, clear of each other and of the table.
 
@@ -61,6 +63,7 @@ def draw_starts(
         count: M; an attempt's draws do not depend on it.
         grown: Has no effect: every round has a seed of its own.
         device: Has no effect: starts are drawn on the CPU.
+        reach: Has no effect: arms are asked about the grasps alone.
     """
     own, starts = scene_seed(seed, scene.scene_id), config.starts
     plane = table_plane(scene)
