@@ -55,7 +55,7 @@ class Grasps(NamedTuple):
 def stored_targets(
     object_pos: Float[np.ndarray, " 3"],
     object_quat_wxyz: Float[np.ndarray, " 4"],
-    size: float,
+    size: np.float32,
     hand_pos: Float[np.ndarray, "N 2 3 3"],
     hand_quat_wxyz: Float[np.ndarray, "N 2 3 4"],
     joints: Float[np.ndarray, "N 2 3 J"],

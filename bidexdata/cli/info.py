@@ -93,6 +93,8 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
         f"{data['setting']}{poses}, sizes {sizes or '-'} m, {asked}, seed {data['seed']}",
         f"fingerprint {data['fingerprint']}",
     ]
+    if data["made_for"]:
+        lines.append(f"made for the arms of {data['made_for']}")
     if data["changed"]:
         lines.append(f"set: {' '.join(data['changed'])}")
     if "files" in data:

@@ -124,6 +124,7 @@ def describe_run(run: Run, by: str | None = None, protocol: str | None = None) -
         "objects": len(run.object_ids),
         "tasks": len(run.tasks),
         "rig": run.rig,
+        "made_for": spec.rig.name if spec.rig else "",
         "done": stages,
         "made_with": made_with_of(run, finished),
         "figures": figures[protocols[0]],

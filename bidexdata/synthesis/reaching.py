@@ -78,7 +78,8 @@ def arm_statuses(
     parts = [rows[asked[rows]] for rows in rows_per_scene(attempts)]
     targets = [
         stored_targets(
-            *(*world_place(one.scene), one.scene.size), *world_stages(one.scene, stages, rows)
+            *(*world_place(one.scene), np.float32(one.scene.size)),
+            *world_stages(one.scene, stages, rows),
         )
         for one, rows in zip(attempts, parts, strict=True)
     ]
