@@ -54,16 +54,16 @@ def arms(
     those), by_status (of all rows), by_size (by_status per size_mm), seconds,
     milliseconds_per_grasp (of CPU). They count this call only.
     """
-    from bidexdata.arms.config import ArmConfig
     from bidexdata.kinds import expect_kind
     from bidexdata.runs.arm_folder import rig_name
-    from bidexdata.runs.arms import arms_run, rig_meant
+    from bidexdata.runs.arms import arms_run
+    from bidexdata.runs.rigged import arm_config_of, rig_meant
     from bidexdata.runs.run import Run
 
     expect_kind(path, "run")
-    settings = options.configured(ArmConfig(), config, assignments)
-    execution = options.execution_of(executor, workers, shard, quiet)
     run = Run.open(path)
+    settings = options.configured(arm_config_of(run, rig), config, assignments)
+    execution = options.execution_of(executor, workers, shard, quiet)
     report = arms_run(run, rig, settings, execution=execution, device=device)
     name = rig_name(rig or rig_meant(run))
     data = {"run": str(path), "rig": name, **_figures(report)}

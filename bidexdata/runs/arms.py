@@ -25,14 +25,13 @@ from bidexdata.runs.arm_folder import (
     folder_name,
     portable_spec,
     read_record,
-    resolve_spec,
     store_record,
     store_spheres,
 )
 from bidexdata.runs.logs import log_to
 from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.plan import Task
-from bidexdata.runs.rigged import load_arm_kernels, object_scenes
+from bidexdata.runs.rigged import arm_config_of, load_arm_kernels, object_scenes, rig_meant
 from bidexdata.runs.run import Run, open_unchanged
 from bidexdata.runs.shards import done_tasks, shard_path, sweep, write_shard
 from bidexdata.runs.stage import StageReport, TaskExecution, TaskSummary, run_stage
@@ -59,7 +58,8 @@ def arms_run(
         run: Rows of two hands on a table; unfinished tasks are left out.
         rig: A name, or the path of a rig's spec; that which the grasps were made for when omitted,
             or else the default one.
-        config: How motions are searched and checked.
+        config: How motions are searched and checked; when omitted as for the grasps, if these were
+            made for the rig, or else the defaults.
         execution: Where and how.
         device: Warp device of the workers.
 
@@ -164,13 +164,6 @@ def _of_one_scene(batch: GraspBatch, rows: np.ndarray) -> list[np.ndarray]:
     return [np.array(some) for some in found.values()]
 
 
-def rig_meant(run: Run) -> str:
-    """The rig that is taken where nobody names one: that which the grasps were made for, if any."""
-    from bidexdata.arms.registry import DEFAULT_RIG
-
-    return DEFAULT_RIG if run.spec.rig is None else resolve_spec(run.spec.rig.rig, run.path)
-
-
 def heaviest_object(run: Run) -> float:
     """Mass of the heaviest object of a run's plan [kg], at the weight that its hands squeeze for.
 
@@ -213,7 +206,6 @@ def _record(run: Run, rig: str | Path | None, config: ArmConfig | None) -> tuple
     Raises:
         NotUsable: The rig cannot be used, or cannot carry hands and object.
     """
-    from bidexdata.arms.config import ArmConfig
     from bidexdata.arms.payload import require_payload
     from bidexdata.arms.registry import load_rig
     from bidexdata.arms.robot import mount_robot
@@ -226,7 +218,7 @@ def _record(run: Run, rig: str | Path | None, config: ArmConfig | None) -> tuple
         rig=portable_spec(given, run.path),
         digest=robot.digest,
         spec=to_plain(robot.rig.spec),
-        config=to_plain(config or ArmConfig()),
+        config=to_plain(config or arm_config_of(run, rig)),
         joint_names={arm.side: arm.chain.joint_names for arm in robot.arms},
         run=run.fingerprint,
         versions=package_versions(),

@@ -6,21 +6,29 @@ What the stage `arms` and the synthesis have in common of it stands here too.
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from functools import lru_cache, partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bidexdata.config import from_plain, to_plain
 from bidexdata.devices import start_warp
 from bidexdata.errors import ConfigConflict
-from bidexdata.runs.arm_folder import folder_name, known_spheres, portable_spec, resolve_spec
+from bidexdata.runs.arm_folder import (
+    folder_name,
+    known_spheres,
+    portable_spec,
+    resolve_spec,
+    rig_name,
+)
 from bidexdata.runs.run import Run, open_unchanged
 from bidexdata.runs.spec import RunRig, RunSpec
 from bidexdata.runs.weights import weight_of_run
 
 if TYPE_CHECKING:
     from bidexdata.arms.arm_scene import SizedArmScenes
+    from bidexdata.arms.config import ArmConfig
     from bidexdata.arms.reach import Reach
     from bidexdata.arms.robot import Robot
     from bidexdata.hands.model import Hand
@@ -35,7 +43,12 @@ _KERNELS = (
 
 
 def rig_of_run(
-    rig: str | Path, hands: tuple[Hand, ...], out: Path, library: Library, spec: RunSpec
+    rig: str | Path,
+    hands: tuple[Hand, ...],
+    out: Path,
+    library: Library,
+    spec: RunSpec,
+    config: Mapping[str, Any] | None = None,
 ) -> RunRig:
     """Say which arms a run's grasps are made for.
 
@@ -45,6 +58,7 @@ def rig_of_run(
         out: Folder of the run.
         library: Its objects.
         spec: What the run is otherwise.
+        config: By which reach is judged, as a run that goes on has it; the defaults when omitted.
 
     Raises:
         UnknownName: There is no such rig.
@@ -64,8 +78,30 @@ def rig_of_run(
         name=name,
         rig=portable_spec(str(rig), out),
         digest=robot.digest,
-        config=to_plain(ArmConfig()),
+        config=to_plain(ArmConfig()) if config is None else config,
     )
+
+
+def rig_meant(run: Run) -> str:
+    """The rig that is taken where nobody names one: that which the grasps were made for, if any."""
+    from bidexdata.arms.registry import DEFAULT_RIG
+
+    return DEFAULT_RIG if run.spec.rig is None else resolve_spec(run.spec.rig.rig, run.path)
+
+
+def arm_config_of(run: Run, rig: str | Path | None = None) -> ArmConfig:
+    """How motions are searched where nobody says: of the run's own rig as when it was made.
+
+    Args:
+        run: The run.
+        rig: The rig that is asked for; see `rig_meant` when omitted.
+    """
+    from bidexdata.arms.config import ArmConfig
+
+    made_for = run.spec.rig
+    if made_for is None or rig_name(rig or rig_meant(run)) != made_for.name:
+        return ArmConfig()
+    return from_plain(ArmConfig, made_for.config)
 
 
 def robot_of_run(run: Run) -> Robot:
@@ -97,7 +133,6 @@ def reach_of_object(run: Run, object_id: str, *, device: str = "cpu") -> Reach |
 @lru_cache(maxsize=1)
 def _reach(run_path: str, run_fingerprint: str, object_id: str, device: str) -> Reach:
     """Kept while tasks are of the same object."""
-    from bidexdata.arms.config import ArmConfig
     from bidexdata.arms.reach import Reach
 
     run = open_unchanged(run_path, run_fingerprint)
@@ -107,7 +142,7 @@ def _reach(run_path: str, run_fingerprint: str, object_id: str, device: str) -> 
         robot=robot,
         field=obj.sdf,
         scenes=object_scenes(robot, obj),
-        config=from_plain(ArmConfig, run.spec.rig.config),
+        config=arm_config_of(run),
         device=device,
     )
 

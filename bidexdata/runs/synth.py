@@ -215,7 +215,8 @@ def _wanted(library: Library, out: Path, request: SynthRequest, old: RunSpec | N
     )
     if not request.rig:
         return spec
-    return replace(spec, rig=rig_of_run(request.rig, hands, out, library, spec))
+    known = old.rig.config if old is not None and old.rig is not None else None
+    return replace(spec, rig=rig_of_run(request.rig, hands, out, library, spec, known))
 
 
 def _rest_poses(request: SynthRequest) -> int:
