@@ -7,9 +7,10 @@ import pytest
 
 from benchmarks.baselines import tables
 from benchmarks.end_to_end import Cost, scenes_that_pass, speeds
+from benchmarks.reach import Judged, tallies
 from benchmarks.selection import tuned_on
 from benchmarks.throughput import Done, speed_of
-from bidexdata.record import GraspBatch, Header
+from bidexdata.record import GraspBatch, Header, Status
 
 
 def test_each_worker_counts_from_the_end_of_its_own_first_task_on():
@@ -63,3 +64,31 @@ def test_the_comparison_has_a_dash_where_nothing_was_timed_or_nothing_passed():
     assert ours.endswith("| 60.00 | 30.00 | 1.00 grasps, 1.00 successes |")
     assert slow.endswith("| 20.00 | 0.00 | 3.00 grasps, - successes |")
     assert untimed.endswith("| - | - | - grasps, - successes |")
+
+
+def test_reach_counts_grasps_that_lift_and_what_the_arms_make_of_all_rows():
+    ok, jump, self_, slip = (
+        int(s) for s in (Status.OK, Status.JUMP, Status.COLLISION_SELF, Status.SLIP)
+    )
+    size = np.array([300, 300, 500, 500])
+    arms, lifts = np.array([ok, jump, ok, ok]), np.array([1, 1, 1, 0], bool)
+    rows = [
+        Judged("a-00", size, arms, lifts, np.array([ok, jump, self_, slip])),
+        Judged("b-00", size[:1], np.array([jump]), None, None),  # no test was run
+    ]
+    found = tallies(iter(rows))
+    assert list(found) == ["0.30 m", "0.50 m", "all"]
+    whole = found["all"]
+    rates = {
+        name: (r.k, r.n)
+        for name in ("lift_reached/lift", "good/rows", "reached/rows", "good_reached/reached")
+        for r in [whole.rate(*name.split("/"))]
+    }
+    assert rates == {
+        "lift_reached/lift": (2, 3),
+        "good/rows": (1, 4),
+        "reached/rows": (3, 4),
+        "good_reached/reached": (1, 3),
+    }
+    assert dict(whole.arms) == {"ok": 2, "jump": 1}
+    assert dict(whole.verdicts) == {"jump": 1, "collision_self": 1, "slip": 1}
