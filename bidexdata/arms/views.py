@@ -5,29 +5,21 @@ World frame, metres.
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any, NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.arms.assembly import arm_prefix, arm_spec, mounted_hand
 from bidexdata.arms.generic_pairs import GenericPairs, generic_shapes
 from bidexdata.arms.inverse_kinematics import IkConfig, solve_first
 from bidexdata.arms.robot import Robot
+from bidexdata.arms.robot_shapes import robot_parts, room_parts
 from bidexdata.frames import invert
-from bidexdata.hands.geometry import body_shapes, tessellate
+from bidexdata.hands.geometry import tessellate
 from bidexdata.pictures.camera import framed
+from bidexdata.pictures.drawing import HAND_COLOURS, OBJECT_COLOUR
 from bidexdata.pictures.picture import Pixels
 from bidexdata.pictures.raycast import RayScene
-from bidexdata.pictures.scene import Colour, Part, disc, mesh_part, moved, sphere
-from bidexdata.simulation.assembly import hand_prefix
+from bidexdata.pictures.scene import Part, mesh_part, moved, sphere
 
-ARM_COLOURS: dict[str, Colour] = {"left": (0.62, 0.70, 0.82), "right": (0.66, 0.78, 0.70)}
-HAND_COLOURS: dict[str, Colour] = {"left": (0.25, 0.50, 0.85), "right": (0.30, 0.68, 0.45)}
-FIXTURE_COLOUR: Colour = (0.45, 0.45, 0.48)
-TABLE_COLOUR: Colour = (0.80, 0.80, 0.79)
-OBJECT_COLOUR: Colour = (0.93, 0.78, 0.50)
 DIRECTIONS: dict[str, tuple[float, float, float]] = {
     "front": (1.0, 0.25, 0.45),
     "side": (0.1, 1.0, 0.35),
@@ -36,63 +28,6 @@ DIRECTIONS: dict[str, tuple[float, float, float]] = {
 """To the camera."""
 MAP_HEIGHTS = (0.1, 0.3, 0.5)
 """Heights of the map of reach over the table [m]."""
-FIXTURE = "fixture"
-_TABLE = 0.95
-
-
-class _Drawn(NamedTuple):
-    """One arm as MuJoCo moves it, and what is drawn of its bodies."""
-
-    model: Any
-    arm_qpos: NDArray[np.int64]
-    hand_qpos: NDArray[np.int64]
-    shapes: tuple[tuple[int, Part], ...]
-    """Body and part in its frame."""
-
-
-def robot_parts(
-    robot: Robot, q: NDArray[np.float64], joints: NDArray[np.float64] | None = None
-) -> list[Part]:
-    """Draw both arms with their hands.
-
-    Args:
-        robot: The robot.
-        q: Joint angles of the arms [rad], (2, A); what is behind a shorter chain does not matter.
-        joints: Of the hands [rad], (2, J); their open postures when omitted.
-
-    Returns:
-        Parts labelled `left_arm`, `left`, `right_arm`, `right`.
-    """
-    parts = []
-    for h in range(2):
-        angles = robot.hands[h].posture_open if joints is None else joints[h]
-        parts += _arm_parts(robot, h, q[h], angles)
-    return parts
-
-
-def arm_parts(robot: Robot, q: NDArray[np.float64]) -> list[Part]:
-    """Draw both arms, with what of the hands' models moves with them, without the hands.
-
-    Args:
-        robot: The robot.
-        q: Joint angles of the arms [rad], (2, A).
-
-    Returns:
-        Parts labelled `left_arm` and `right_arm`.
-    """
-    return [part for part in robot_parts(robot, q) if part.label.endswith("_arm")]
-
-
-def room_parts(robot: Robot) -> list[Part]:
-    """Draw the fixtures and the table."""
-    parts = [disc((0.0, 0.0, 0.0), _TABLE, TABLE_COLOUR, "table")]
-    for box in robot.rig.spec.fixtures:
-        vertices, faces = tessellate("box", np.array(box.half))
-        low = max(-0.02, box.pos[2] - box.half[2])
-        placed = vertices + np.array(box.pos)
-        placed[:, 2] = np.maximum(placed[:, 2], low)
-        parts.append(mesh_part(placed, faces, FIXTURE_COLOUR, FIXTURE, smooth=False))
-    return parts
 
 
 def shape_part(pairs: GenericPairs, row: int) -> Part:
@@ -202,46 +137,3 @@ def _reached(
             robot.arms[h].chain, points + R @ T[:3, 3], rot, config, device=device
         ).ok
     return good
-
-
-def _arm_parts(
-    robot: Robot, h: int, q: NDArray[np.float64], joints: NDArray[np.float64]
-) -> list[Part]:
-    import mujoco
-
-    drawn = _drawn(robot, h)
-    data = mujoco.MjData(drawn.model)
-    data.qpos[drawn.arm_qpos] = q[: len(drawn.arm_qpos)]
-    data.qpos[drawn.hand_qpos] = joints[: len(drawn.hand_qpos)]
-    mujoco.mj_kinematics(drawn.model, data)
-    return [
-        moved(part, data.xmat[body].reshape(3, 3), data.xpos[body]) for body, part in drawn.shapes
-    ]
-
-
-@lru_cache(maxsize=8)
-def _drawn(robot: Robot, h: int) -> _Drawn:
-    arm, hand = robot.arms[h], robot.hands[h]
-    model = arm_spec(robot.rig.spec, h, arm.model, hand, arm.mount).compile()
-    names = {model.joint(j).name.rpartition("/")[2]: j for j in range(model.njnt)}
-    shapes = []
-    # Each from its own model: one of them may have no visual geometry.
-    own = {hand_prefix(h) + name for name in hand.body_names}
-    sources = (
-        (arm_prefix(h), arm.model.make_spec().compile()),
-        (hand_prefix(h), mounted_hand(hand, arm.mount).compile()),
-    )
-    for prefix, source in sources:
-        for k, geoms in enumerate(body_shapes(source, visual=True), start=1):
-            name = prefix + source.body(k).name
-            colours, label = (HAND_COLOURS, "") if name in own else (ARM_COLOURS, "_arm")
-            body = int(model.body(name).id)
-            for geom in geoms:
-                part = mesh_part(geom.vertices, geom.faces, colours[arm.side], arm.side + label)
-                shapes.append((body, moved(part, geom.R, geom.pos)))
-    return _Drawn(
-        model,
-        np.array([model.jnt_qposadr[names[n]] for n in arm.chain.joint_names]),
-        np.array([model.jnt_qposadr[names[n]] for n in hand.joint_names], np.int64),
-        tuple(shapes),
-    )

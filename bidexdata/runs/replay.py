@@ -182,10 +182,10 @@ def _stored(run: Run, wanted: str) -> tuple[Task, GraspBatch, int]:
 
 
 def _arms_of(robot: Robot) -> Beside:
-    """What draws the arms and what they stand on."""
-    from bidexdata.arms.views import FIXTURE, arm_parts, room_parts
+    """What draws the arms, what they stand on and the table between them."""
+    from bidexdata.arms.robot_shapes import arm_parts, room_parts
 
-    still = [part for part in room_parts(robot) if part.label == FIXTURE]
+    still = room_parts(robot)
     return lambda pose: [*arm_parts(robot, pose.arm_joints), *still]
 
 
@@ -230,7 +230,10 @@ def _draw(
 
     total = len(moments) - 1 + round(_LAST_SECONDS * FPS)
     size = in_metres(batch["size"][0])
-    table = TABLE_GEOM in {scene.model.geom(i).name for i in range(scene.model.ngeom)}
+    # Arms bring a table of their own, which is larger.
+    table = not beside and TABLE_GEOM in {
+        scene.model.geom(i).name for i in range(scene.model.ngeom)
+    }
     ends = [moments[0].pose, moments[len(moments) // 2].pose, moments[-1].pose]
     camera = simulation_camera(ends, solid, size, scene.hands, table=table, beside=beside)
     head = f"{batch['object_id'][0]}  {batch['size_mm'][0]} mm  {batch['grasp_id'][0]}"
