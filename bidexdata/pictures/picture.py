@@ -60,7 +60,7 @@ def draw_grasp(
     """
     parts = grasp_parts(batch, row, solid, hands, stage=stage, surface=surface, contacts=contacts)
     scene, points = RayScene(parts, device), subject_points(parts)
-    return _row(
+    return side_by_side(
         [
             scene.draw(framed(points, direction, width / height), width, height)
             for direction in choose_views(parts, scene, views)
@@ -109,10 +109,11 @@ def draw_object(
     shown = [solid_parts(solid, 1.0, surface=s) for s in surfaces]
     points = np.concatenate([subject_points(parts) for parts in shown])
     camera = framed(points, DEFAULT_DIRECTION, width / height)
-    return _row([RayScene(parts, device).draw(camera, width, height) for parts in shown])
+    return side_by_side([RayScene(parts, device).draw(camera, width, height) for parts in shown])
 
 
-def _row(drawn: Sequence[Pixels]) -> Pixels:
+def side_by_side(drawn: Sequence[Pixels]) -> Pixels:
+    """Join pictures of one height, left to right, with a white line between them."""
     strip = np.full((drawn[0].shape[0], _GAP, 3), 255, np.uint8)
     joined = [drawn[0]]
     for pixels in drawn[1:]:

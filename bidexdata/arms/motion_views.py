@@ -1,0 +1,161 @@
+"""Pictures of a robot with an object: a motion as a film, and what stopped one that there is not.
+
+World frame, metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bidexdata.arms.furthest import Furthest
+from bidexdata.arms.motion import Moment, Motion
+from bidexdata.arms.robot import Robot
+from bidexdata.arms.robot_shapes import MARKED, MARKED_COLOUR, robot_parts, room_parts
+from bidexdata.objects.prepared import Solid
+from bidexdata.pictures.camera import framed
+from bidexdata.pictures.drawing import hand_part, solid_parts
+from bidexdata.pictures.picture import Pixels, side_by_side
+from bidexdata.pictures.raycast import RayScene
+from bidexdata.pictures.scene import Part
+from bidexdata.pictures.views import choose_views, subject_points
+
+_POINTS = 4000
+"""As many of a moment's points are enough to place a camera."""
+
+
+class Held(NamedTuple):
+    """The object of a grasp; where it is says the moment."""
+
+    solid: Solid
+    size: float
+    """Diagonal of its box [m]."""
+    quat_wxyz: NDArray[np.float64]
+    """(4,)."""
+
+    def parts(self, moment: Moment) -> list[Part]:
+        """It at a moment."""
+        return solid_parts(self.solid, self.size, moment.object_pos, self.quat_wxyz)
+
+
+def motion_parts(robot: Robot, held: Held, moment: Moment) -> list[Part]:
+    """Everything at one moment of a motion."""
+    return [
+        *held.parts(moment),
+        *robot_parts(robot, moment.arms, moment.joints),
+        *room_parts(robot),
+    ]
+
+
+def furthest_parts(robot: Robot, held: Held, found: Furthest) -> list[Part]:
+    """Everything at the posture that says what stopped the arms; what did is red.
+
+    Red are bodies that collide; hands where they should be and are not; an arm where it would have to be.
+    """
+    at = found.moment
+    parts = [
+        *held.parts(at),
+        *robot_parts(robot, at.arms, at.joints, marked=found.touching),
+        *room_parts(robot, marked=found.touching),
+    ]
+    if found.wanted is not None:
+        poses, sides = found.wanted
+        for h in sides:
+            hand = hand_part(robot.hands[h], poses.pos[h], poses.quat_wxyz[h], poses.joints[h])
+            parts.append(hand._replace(colour=MARKED_COLOUR, label=MARKED))
+    if found.after is not None:
+        turned = np.any(np.nan_to_num(found.after.arms) != np.nan_to_num(at.arms), axis=1)
+        there = robot_parts(robot, found.after.arms, found.after.joints)
+        parts += [
+            part._replace(colour=MARKED_COLOUR, label=MARKED)
+            for part in there
+            if turned[0 if part.label.startswith("left") else 1]
+        ]
+    return parts
+
+
+def draw_motion(
+    robot: Robot,
+    motion: Motion,
+    held: Held,
+    times: Sequence[float],
+    *,
+    width: int,
+    height: int,
+    device: str = "cpu",
+) -> Iterator[Pixels]:
+    """Draw a motion at some times [s] from where it is seen best while the grasp is closed.
+
+    The camera stands still, and everything stays in the picture from home to the lift.
+
+    Args:
+        robot: The robot.
+        motion: Of its arms.
+        held: The object.
+        times: Since home; the last picture stands still where they go on behind the end.
+        width: Pixels.
+        height: Pixels.
+        device: A Warp device.
+    """
+    shown = [motion_parts(robot, held, motion.at(time)) for time in motion.key_time]
+    middle = shown[3]  # the grasp
+    scene = RayScene(middle, device)
+    direction = choose_views(middle, scene)[0]
+    points = np.concatenate([_few(subject_points(parts)) for parts in shown])
+    camera = framed(points, direction, width / height)
+    last, drawn = -1.0, None
+    for time in times:
+        at = min(time, motion.seconds)
+        if drawn is None or at != last:
+            scene.move(motion_parts(robot, held, motion.at(at)))
+            last, drawn = at, scene.draw(camera, width, height)
+        yield drawn
+
+
+def draw_furthest(
+    robot: Robot,
+    found: Furthest,
+    held: Held,
+    *,
+    views: int,
+    width: int,
+    height: int,
+    device: str = "cpu",
+) -> Pixels:
+    """Draw what stopped the arms from the directions that show most of both hands, side by side."""
+    parts = furthest_parts(robot, held, found)
+    scene, points = RayScene(parts, device), _few(subject_points(parts))
+    return side_by_side(
+        [
+            scene.draw(framed(points, direction, width / height), width, height)
+            for direction in choose_views(parts, scene, views)
+        ]
+    )
+
+
+def draw_moment(
+    robot: Robot,
+    moment: Moment,
+    held: Held,
+    *,
+    views: int,
+    width: int,
+    height: int,
+    device: str = "cpu",
+) -> Pixels:
+    """Draw one moment of a motion, as `draw_furthest`."""
+    return draw_furthest(
+        *(robot, Furthest(moment, ""), held),
+        views=views,
+        width=width,
+        height=height,
+        device=device,
+    )
+
+
+def _few(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    box = np.stack([points.min(axis=0), points.max(axis=0)])
+    return np.concatenate([points[:: 1 + len(points) // _POINTS], box])
