@@ -96,6 +96,15 @@ def motion_of(robot: Robot, batch: GraspBatch, row: int) -> Motion | None:
     return Motion(robot, time, path, joints, pos, time[ends])
 
 
+def at_home(robot: Robot, batch: GraspBatch, row: int) -> Moment:
+    """The arms at home, with the fingers and the object of a row."""
+    arms = np.full((2, robot.joints), np.nan)
+    for h, arm in enumerate(robot.arms):
+        arms[h, : arm.chain.joints] = arm.chain.rest
+    joints = np.asarray(batch["joints"][row, :, 0], np.float64)
+    return Moment(arms, joints, np.asarray(batch["object_pos"][row], np.float64))
+
+
 class Way(NamedTuple):
     """Where one hand is at W moments."""
 

@@ -136,26 +136,6 @@ def draw_furthest(
     )
 
 
-def draw_moment(
-    robot: Robot,
-    moment: Moment,
-    held: Held,
-    *,
-    views: int,
-    width: int,
-    height: int,
-    device: str = "cpu",
-) -> Pixels:
-    """Draw one moment of a motion, as `draw_furthest`."""
-    return draw_furthest(
-        *(robot, Furthest(moment, ""), held),
-        views=views,
-        width=width,
-        height=height,
-        device=device,
-    )
-
-
 def _few(points: NDArray[np.float64]) -> NDArray[np.float64]:
     box = np.stack([points.min(axis=0), points.max(axis=0)])
     return np.concatenate([points[:: 1 + len(points) // _POINTS], box])

@@ -23,11 +23,28 @@ def render(
     only: Annotated[
         str | None, typer.Option(help="success or failure: what the test said of the grasps.")
     ] = None,
+    status: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LABEL,...",
+            help="What became of the attempt, its arms or a test, such as collision_arms or slip.",
+        ),
+    ] = None,
     protocol: options.ProtocolName = None,
+    arms: Annotated[
+        bool | None,
+        typer.Option(
+            "--arms/--no-arms",
+            help="Draw the arms; by default in an animation, and with the --status of one.",
+            show_default=False,
+        ),
+    ] = None,
+    rig: options.RigName = None,
     count: Annotated[int, typer.Option(min=1, help="Pictures at most.")] = 12,
     views: Annotated[int, typer.Option(min=1, max=4, help="Views of each grasp.")] = 2,
     video: Annotated[
-        bool, typer.Option("--video", help="Animate pre-grasp, grasp, squeeze.")
+        bool,
+        typer.Option("--video", help="Animate pre-grasp, grasp, squeeze; with arms the motion."),
     ] = False,
     seed: options.Seed = 0,
     device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
@@ -38,11 +55,16 @@ def render(
     """Draw a contact sheet by ray casting; no screen and no GL library is needed.
 
     Grasps are spread over objects and sizes; the same seed chooses the same ones. Selected grasps
-    are shown, with --only failure audit grasps too; both leave out attempts that ended before any
+    are shown, with --only failure and with --status audit grasps too; all leave out attempts that ended before any
     test (`synth --explain` draws them). Left hand blue, right hand green; red balls are contacts on
     the simulated solid, and may show through a thin wall of the mesh, which is what is drawn; red
     arrows their outward normals; the table grey. A library shows its objects, mesh beside solid. An animation (--video)
     is an MP4 (H.264), a GIF or an animated PNG.
+
+    Where `bidexdata arms` has found motions, an animation has the arms and goes from home to the
+    lift at its own speed. --status takes several labels, with commas, and shows as many grasps of
+    each; of a failure of arms, where they came to and, in red, what stopped them: bodies that
+    collide, the hand where it should be, the arm where it would have to be at once.
 
     --json keys: out, kind, n, shown (ids of grasps or objects), drawn_by, seconds.
     """
@@ -58,6 +80,9 @@ def render(
         path,
         out,
         only=cast("Only | None", only),
+        status=options.parse_words(status or ""),
+        arms=arms,
+        rig=rig,
         protocol=protocol,
         count=count,
         views=views,

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from bidexdata.devices import check_device
-from bidexdata.errors import BadConfig, BadValue, NotUsable
-from bidexdata.record import GraspBatch
+from bidexdata.errors import BadConfig, BadValue, NotUsable, UnknownName
+from bidexdata.record import GraspBatch, Status
+from bidexdata.record.status import ARM_STATUSES
 from bidexdata.runs.browse import Browsable, open_browsable, rows_by_test, verdicts_of
 from bidexdata.runs.progress import Progress
 
@@ -77,7 +78,10 @@ def render(
     out: str | Path,
     *,
     only: Only | None = None,
+    status: Sequence[str] = (),
     protocol: str | None = None,
+    arms: bool | None = None,
+    rig: str | Path | None = None,
     count: int = DEFAULT_COUNT,
     views: int = 2,
     video: bool = False,
@@ -87,14 +91,20 @@ def render(
 ) -> RenderReport:
     """Draw a contact sheet, or with `video` an animation pre-grasp -> grasp -> squeeze.
 
-    Grasps are spread over objects and sizes. Selected rows are shown; with `only="failure"` audit
-    rows too. A library shows its objects, repaired mesh beside convex pieces.
+    Grasps are spread over objects and sizes. Selected rows are shown; with `only="failure"` and with
+    `status` audit rows too. A library shows its objects, repaired mesh beside convex pieces. With
+    arms an animation is the whole motion, of grasps that have one; a sheet has the arms at the
+    grasp, or where they came to and what stopped them.
 
     Args:
         path: A library, a run or a release.
         out: `.png`, `.jpg` or `.webp`; an animation is `.mp4`, `.gif` or an animated `.png`.
         only: Grasps that passed, or that failed.
+        status: Labels of what became of attempts, arms or tests; as many grasps of each.
         protocol: Whose verdicts; when omitted a release's default, else `paper-1` or the only one.
+        arms: Draw the arms; when omitted in an animation where there are solutions, and where
+            `status` is one of arms.
+        rig: Whose arms; see `Run.rig` when omitted.
         count: Pictures at most.
         views: Views of each grasp (an animation has one).
         video: Make an animation.
@@ -103,9 +113,9 @@ def render(
         quiet: No progress bar.
 
     Raises:
-        NotUsable: Nothing matches, there are no verdicts to choose by, no saying whose are meant,
-            there is no such device, or pillow is missing.
-        UnknownName: There are no verdicts of the protocol.
+        NotUsable: Nothing matches, there are no verdicts or arm solutions to choose by, no saying
+            whose are meant, there is no such device, or pillow is missing.
+        UnknownName: There are no verdicts of the protocol, no arms of the rig, or no such status.
         MissingExtra: An `.mp4` without the package that writes it.
         BadConfig: The file's ending is none of these.
         BadValue: `count` is not positive.
@@ -113,52 +123,105 @@ def render(
     """
     started = perf_counter()
     check_device(device)
-    source, out = open_browsable(path, protocol), Path(out)
-    _check(out, source, only=only, count=count, video=video)
+    source, out = open_browsable(path, protocol, rig), Path(out)
+    statuses = _statuses(status)
+    _check(out, source, only=only, statuses=statuses, arms=arms, count=count, video=video)
     from bidexdata.pictures.picture import drawn_by
     from bidexdata.pictures.sheet import FRAME_MS, contact_sheet, save_animation, save_picture
     from bidexdata.pictures.video import save_video
 
     footer = drawn_by(device)
+    if arms is None:
+        asked = video or any(s in ARM_STATUSES for s in statuses)
+        arms = bool(source.rig) and asked
     if source.kind == "library":
         ids = _shuffled(source.object_ids, seed)[:count]
         frames = [_object_tiles(source, sorted(ids), device, quiet)]
         shown, chosen = tuple(sorted(ids)), []
     else:
-        chosen = choose_grasps(source, count, only=only, seed=seed)
+        chosen = _chosen(source, count, only, statuses, seed, moving=arms and video)
         shown = tuple(str(s.batch["grasp_id"][s.row]) for s in chosen)
-        frames = _grasp_frames(source, chosen, views, device, video=video, quiet=quiet)
+        if arms and chosen:
+            from bidexdata.runs.arm_pictures import armed_tiles
+
+            seconds = FRAME_MS / 1000 if video else None
+            frames = armed_tiles(
+                *(source, chosen),
+                views=views,
+                frame_seconds=seconds,
+                device=device,
+                quiet=quiet,
+            )
+        else:
+            frames = _grasp_frames(source, chosen, views, device, video=video, quiet=quiet)
     sides = chosen[0].batch.header.hands if chosen else ()
-    title = sheet_title(source, only, [h.side for h in sides])
+    title = sheet_title(source, only, [h.side for h in sides], statuses)
     if not shown:
-        raise NotUsable(f"{path}: nothing to draw{f' with --only {only}' if only else ''}")
-    sheets = [contact_sheet(tiles, title=title, footer=footer) for tiles in frames]
+        raise NotUsable(f"{path}: {_nothing_words(only, statuses, moving=arms and video)}")
+    sheets = (contact_sheet(tiles, title=title, footer=footer) for tiles in frames)
     out.parent.mkdir(parents=True, exist_ok=True)
     if out.suffix.lower() == ".mp4":
         save_video(sheets, out, 1000 / FRAME_MS)
     elif video:
-        save_animation(sheets, out)
+        save_animation(list(sheets), out)
     else:
-        save_picture(sheets[0], out)
+        save_picture(next(sheets), out)
     return RenderReport(out, source.kind, shown, footer, perf_counter() - started)
 
 
+def _chosen(
+    source: Browsable,
+    count: int,
+    only: Only | None,
+    statuses: Sequence[Status],
+    seed: int,
+    *,
+    moving: bool,
+) -> list[Shown]:
+    """Choose grasps; as many of each status, at least one."""
+    if not statuses:
+        return choose_grasps(source, count, only=only, seed=seed, moving=moving)
+    each = max(1, count // len(statuses))
+    return [
+        shown
+        for status in statuses
+        for shown in choose_grasps(source, each, only=only, seed=seed, status=status)
+    ]
+
+
 def choose_grasps(
-    source: Browsable, count: int, *, only: Only | None = None, seed: int = 0
+    source: Browsable,
+    count: int,
+    *,
+    only: Only | None = None,
+    seed: int = 0,
+    status: Status | None = None,
+    moving: bool = False,
 ) -> list[Shown]:
     """Choose grasps with poses, spread over objects, then over sizes.
 
     Objects are taken in an order that the seed decides, until `count` of them have something to
     show; then each gives one grasp in turn, its sizes alternating. The result is sorted by object,
     size and grasp.
+
+    Args:
+        source: A run or a release.
+        count: How many at most.
+        only: Those that passed the first test, or that failed.
+        seed: Chooses others.
+        status: Those whose attempt, arms or any test came to this.
+        moving: Those whose arms have a motion.
     """
     queues: list[list[Shown]] = []
     for object_id in _shuffled(source.object_ids, seed):
         if len(queues) == count:
             break
         batch = source.grasps(object_id)
-        rows = _matching(batch, only) if batch is not None else []
-        if batch is not None and len(rows):
+        rows = [] if batch is None else _matching(batch, only, everything=status is not None)
+        if batch is not None and (status is not None or moving):
+            mask = _of_arms(source, batch, object_id, status, moving=moving)
+            rows = [row for row in rows if mask[row]]
+        if batch is not None and rows:
             order = _alternating(batch, rows, seed, len(queues))
             queues.append([Shown(object_id, batch, row) for row in order])
     # First of each object, then second of each ...
@@ -179,14 +242,33 @@ def grasp_tiles(source: Browsable, chosen: Sequence[Shown], views: int = 2) -> l
     return _grasp_frames(source, chosen, views, "cpu", video=False, quiet=True)[0]
 
 
-def _matching(batch: GraspBatch, only: Only | None) -> list[int]:
+def _of_arms(
+    source: Browsable, batch: GraspBatch, object_id: str, status: Status | None, *, moving: bool
+) -> np.ndarray:
+    """Which rows came to a status, and have a motion where that is asked for, (N,) bool."""
+    from bidexdata.runs.arm_pictures import rows_with_arms
+
+    armed = rows_with_arms(source, object_id, batch) if source.rig else None
+    none = np.zeros(len(batch), bool)
+    moves = none if armed is None else armed["arm_status"] == Status.OK
+    if status is None:
+        return moves
+    found = none if armed is None else armed["arm_status"] == status
+    for rows in rows_by_test(source, object_id, batch).values():
+        for name in ("synth_status", "verdict_status"):
+            if name in rows:
+                found = found | (rows[name] == status)
+    return found & moves if moving else found
+
+
+def _matching(batch: GraspBatch, only: Only | None, *, everything: bool = False) -> list[int]:
     from bidexdata.pictures.posing import has_pose
 
     outcome = verdicts_of(batch)
     keep = np.ones(len(batch), bool)
     if only is not None:
         keep = outcome == (1 if only == "success" else 0)
-    if only != "failure" and "selected" in batch:
+    if only != "failure" and not everything and "selected" in batch:
         keep &= batch["selected"]
     return [int(r) for r in np.flatnonzero(keep) if has_pose(batch, int(r))]
 
@@ -261,7 +343,38 @@ def _object_tiles(
     return tiles
 
 
-def _check(out: Path, source: Browsable, *, only: Only | None, count: int, video: bool) -> None:
+def _statuses(labels: Sequence[str]) -> tuple[Status, ...]:
+    """The failures of attempts, arms and tests that are called so.
+
+    Raises:
+        UnknownName: There is none.
+    """
+    known = {s.label: s for s in Status if s >= Status.NO_REGION_PAIR}
+    for label in labels:
+        if label not in known:
+            raise UnknownName("status", label, known)
+    return tuple(known[label] for label in labels)
+
+
+def _nothing_words(only: Only | None, statuses: Sequence[Status], *, moving: bool) -> str:
+    words = f" with --only {only}" if only else ""
+    if statuses:
+        words += f" with --status {','.join(s.label for s in statuses)}"
+    if moving and not statuses:
+        return f"no grasp{words} has a motion of arms; --no-arms draws the hands alone"
+    return f"nothing to draw{words}"
+
+
+def _check(
+    out: Path,
+    source: Browsable,
+    *,
+    only: Only | None,
+    statuses: Sequence[Status],
+    arms: bool | None,
+    count: int,
+    video: bool,
+) -> None:
     from bidexdata.pictures.sheet import PICTURE_ENDINGS, require_ending
 
     if video:
@@ -274,16 +387,28 @@ def _check(out: Path, source: Browsable, *, only: Only | None, count: int, video
         require_encoder()  # before minutes of drawing
     if count < 1:
         raise BadValue(f"--count must be at least 1, not {count}")
-    if source.kind == "library" and (only or video):
+    if source.kind == "library" and (only or video or statuses or arms):
         raise BadConfig(f"{source.path} is a library: it has objects but no grasps to choose from")
     if only and not source.test:
         raise NotUsable(
             f"{source.path} has no verdicts, so --only {only} chooses nothing; "
             f"run: bidexdata validate {source.path}"
         )
+    of_arms = [s.label for s in statuses if s in ARM_STATUSES and s != Status.NOT_REACHABLE]
+    if (arms or of_arms) and not source.rig:
+        asked = "--arms draws" if arms else f"--status {of_arms[0]} chooses"
+        raise NotUsable(
+            f"{source.path} has no arm solutions, so {asked} nothing; run: "
+            f"bidexdata arms {source.path}"
+        )
 
 
-def sheet_title(source: Browsable, only: Only | None, sides: Sequence[str]) -> str:
+def sheet_title(
+    source: Browsable,
+    only: Only | None,
+    sides: Sequence[str],
+    statuses: Sequence[Status] = (),
+) -> str:
     """Say what a sheet shows: whose grasps, chosen by what, and which hand has which colour."""
     from bidexdata.pictures.drawing import HAND_COLOUR_NAMES
 
@@ -294,5 +419,7 @@ def sheet_title(source: Browsable, only: Only | None, sides: Sequence[str]) -> s
     tests = source.tests[:1] if only else source.tests
     named = f"{'tests' if len(tests) > 1 else 'test'} {', '.join(tests)}"
     test = f" ({named} of {source.protocol})" if tests else " (not validated)"
+    if statuses:
+        what = f"{what} with status {', '.join(s.label for s in statuses)}"
     colours = ", ".join(f"{side} hand {HAND_COLOUR_NAMES[side]}" for side in sides)
     return f"{source.path.name}: {what}{test}; {colours}"

@@ -22,7 +22,7 @@ def source(hands):
 @pytest.fixture
 def opened(source, monkeypatch):
     """Let `render` find the hand-made rows under any path."""
-    monkeypatch.setattr(render_module, "open_browsable", lambda path, protocol=None: source)
+    monkeypatch.setattr(render_module, "open_browsable", lambda path, protocol=None, rig=None: source)
     monkeypatch.setattr(render_module, "WIDTH", 60)
     monkeypatch.setattr(render_module, "HEIGHT", 48)
 
@@ -54,7 +54,7 @@ def test_another_seed_chooses_other_grasps(source):
 
 def test_one_handed_grasps_get_a_sheet_that_names_their_hand(hands, monkeypatch, tmp_path: Path):
     made = Made(hands[1:], 3)
-    monkeypatch.setattr(render_module, "open_browsable", lambda path, protocol=None: made)
+    monkeypatch.setattr(render_module, "open_browsable", lambda path, protocol=None, rig=None: made)
     report = render("run", tmp_path / "a.png", count=2, quiet=True)
     assert len(report.shown) == 2
     assert render_module.sheet_title(made, None, ["right"]).endswith("right hand green")
