@@ -21,7 +21,7 @@ from bidexdata.pictures.drawing import hand_part, solid_parts
 from bidexdata.pictures.picture import Pixels, side_by_side
 from bidexdata.pictures.raycast import RayScene
 from bidexdata.pictures.scene import Part
-from bidexdata.pictures.views import choose_views, subject_points
+from bidexdata.pictures.views import OBJECT, SUBJECTS, choose_views, subject_points
 
 _POINTS = 4000
 """As many of a moment's points are enough to place a camera."""
@@ -43,11 +43,8 @@ class Held(NamedTuple):
 
 def motion_parts(robot: Robot, held: Held, moment: Moment) -> list[Part]:
     """Everything at one moment of a motion."""
-    return [
-        *held.parts(moment),
-        *robot_parts(robot, moment.arms, moment.joints),
-        *room_parts(robot),
-    ]
+    robots = robot_parts(robot, moment.arms, moment.joints)
+    return [*held.parts(moment), *robots, *room_parts(robot)]
 
 
 def furthest_parts(robot: Robot, held: Held, found: Furthest) -> list[Part]:
@@ -103,7 +100,7 @@ def draw_motion(
     shown = [motion_parts(robot, held, motion.at(time)) for time in motion.key_time]
     middle = shown[3]  # the grasp
     scene = RayScene(middle, device)
-    direction = choose_views(middle, scene)[0]
+    direction = _directions(middle, device)[0]
     points = np.concatenate([_few(subject_points(parts)) for parts in shown])
     camera = framed(points, direction, width / height)
     last, drawn = -1.0, None
@@ -131,9 +128,16 @@ def draw_furthest(
     return side_by_side(
         [
             scene.draw(framed(points, direction, width / height), width, height)
-            for direction in choose_views(parts, scene, views)
+            for direction in _directions(parts, device, views)
         ]
     )
+
+
+def _directions(parts: list[Part], device: str, count: int = 1) -> list[NDArray[np.float64]]:
+    """Directions that show most of the hands from close by, though arms stand in the way."""
+    seen = sorted(parts, key=lambda part: part.label not in (OBJECT, *SUBJECTS))
+    close = [part for part in seen if part.label in (OBJECT, *SUBJECTS)]
+    return choose_views(close, RayScene(seen, device), count)
 
 
 def _few(points: NDArray[np.float64]) -> NDArray[np.float64]:

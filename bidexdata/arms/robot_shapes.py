@@ -26,7 +26,8 @@ MARKED_COLOUR: Colour = (0.85, 0.12, 0.10)
 """Of bodies that are to be seen, such as those that collide."""
 FIXTURE, MARKED = "fixture", "marked"
 """Labels of parts."""
-_TABLE = 0.95
+_TABLE = 1.3
+"""Radius of the table that is drawn; arms reach as far [m]."""
 _LOWEST = -0.02
 """Fixtures are drawn from a little under the table up [m]."""
 

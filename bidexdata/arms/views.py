@@ -19,6 +19,7 @@ from bidexdata.pictures.drawing import HAND_COLOURS, OBJECT_COLOUR
 from bidexdata.pictures.picture import Pixels
 from bidexdata.pictures.raycast import RayScene
 from bidexdata.pictures.scene import Part, mesh_part, moved, sphere
+from bidexdata.pictures.views import subject_points
 
 DIRECTIONS: dict[str, tuple[float, float, float]] = {
     "front": (1.0, 0.25, 0.45),
@@ -117,7 +118,7 @@ def reach_parts(robot: Robot, height: float, config: IkConfig, device: str = "cp
 def _draw(parts: list[Part], view: str, width: int, height: int, device: str) -> Pixels:
     direction = np.array(DIRECTIONS[view])
     direction /= np.linalg.norm(direction)
-    seen = np.concatenate([part.vertices for part in parts])
+    seen = subject_points(parts)
     camera = framed(seen[seen[:, 2] > -0.1], direction, width / height)
     return RayScene(parts, device).draw(camera, width, height)
 

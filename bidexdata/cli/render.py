@@ -71,7 +71,7 @@ def render(
     from typing import cast
 
     from bidexdata.errors import UnknownName
-    from bidexdata.runs.render import Only
+    from bidexdata.runs.choose import Only
     from bidexdata.runs.render import render as draw
 
     if only not in (None, "success", "failure"):

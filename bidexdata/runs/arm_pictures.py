@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from bidexdata.pictures.captions import grasp_caption
+from bidexdata.pictures.captions import grasp_caption, outcome_words
 from bidexdata.pictures.sheet import Caption, Tile
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.batch import fill_value, in_metres
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from bidexdata.arms.robot import Robot
     from bidexdata.objects.prepared import Solid
     from bidexdata.runs.browse import Browsable
-    from bidexdata.runs.render import Shown
+    from bidexdata.runs.choose import Shown
 
 REST_SECONDS = 1.0
 """How long a film of a motion stands still at its end [s]."""
@@ -61,8 +61,11 @@ def rows_with_arms(source: Browsable, object_id: str, batch: GraspBatch) -> Gras
     outside of `ARM_STATUSES` and OK.
     """
     solved = source.arms(object_id)
-    if solved is None or not len(solved):
-        return None
+    return None if solved is None or not len(solved) else join_arms(batch, solved)
+
+
+def join_arms(batch: GraspBatch, solved: GraspBatch) -> GraspBatch:
+    """Rows with the columns of arms of other rows of their object, at least one; by their ids."""
     ids, first = np.unique(solved["grasp_id"], return_index=True)
     at = np.minimum(np.searchsorted(ids, batch["grasp_id"]), len(ids) - 1)
     known = ids[at] == batch["grasp_id"]
@@ -266,7 +269,12 @@ def _with_arms(source: Browsable, shown: Shown) -> tuple[GraspBatch, int]:
 
 
 def _said(caption: Caption, batch: GraspBatch, row: int, words: str) -> Caption:
-    """The words of a grasp, with what the picture shows and what the arms came to."""
+    """The words of a grasp, with what the picture shows and what the arms came to.
+
+    A test that failed because of that is not told beside it.
+    """
     (grasp, *tests), (told, good) = caption.lines, arm_words(batch, row)
-    lines = (grasp, words, *tests, told)
-    return caption._replace(lines=lines, good=(*caption.good, good))
+    same = outcome_words("a", Status(int(batch["arm_status"][row]))) if good is False else ""
+    kept = [(line, ok) for line, ok in zip(tests, caption.good, strict=True) if line != same]
+    lines = (grasp, words, *(line for line, _ in kept), told)
+    return caption._replace(lines=lines, good=(*(ok for _, ok in kept), good))

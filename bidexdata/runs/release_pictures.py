@@ -54,7 +54,8 @@ def _sheet(root: Path, head: Mapping[str, Any]) -> bytes:
     from bidexdata.pictures.sheet import contact_sheet
     from bidexdata.record import Header
     from bidexdata.runs.browse import ReleaseSource
-    from bidexdata.runs.render import choose_grasps, grasp_tiles
+    from bidexdata.runs.choose import choose_grasps
+    from bidexdata.runs.render import grasp_tiles
 
     # The manifest is written last; this is what will stand in it.
     manifest = {**head, "files": {}}

@@ -5,28 +5,32 @@ Which rows are shown follows from the seed, the ids and the filter alone.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import zip_longest
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bidexdata.devices import check_device
-from bidexdata.errors import BadConfig, BadValue, NotUsable, UnknownName
-from bidexdata.record import GraspBatch, Status
+from bidexdata.errors import BadConfig, BadValue, NotUsable
+from bidexdata.record import Status
 from bidexdata.record.status import ARM_STATUSES
-from bidexdata.runs.browse import Browsable, open_browsable, rows_by_test, verdicts_of
+from bidexdata.runs.browse import Browsable, open_browsable, rows_by_test
+from bidexdata.runs.choose import (
+    Only,
+    Shown,
+    chosen_of_each,
+    judging_test,
+    shuffled,
+    statuses_called,
+)
 from bidexdata.runs.progress import Progress
 
 if TYPE_CHECKING:
     from bidexdata.objects.prepared import Solid
     from bidexdata.pictures.sheet import Tile
-
-Only = Literal["success", "failure"]
 
 DEFAULT_COUNT = 12
 WIDTH, HEIGHT = 280, 240
@@ -40,14 +44,6 @@ VIDEO_MOMENTS = (
     2.0,
 )
 """Stage numbers of an animation's pictures: it rests at the pre-grasp and at the squeeze."""
-
-
-class Shown(NamedTuple):
-    """One grasp chosen for a sheet."""
-
-    object_id: str
-    batch: GraspBatch
-    row: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +120,7 @@ def render(
     started = perf_counter()
     check_device(device)
     source, out = open_browsable(path, protocol, rig), Path(out)
-    statuses = _statuses(status)
+    statuses = statuses_called(status)
     _check(out, source, only=only, statuses=statuses, arms=arms, count=count, video=video)
     from bidexdata.pictures.picture import drawn_by
     from bidexdata.pictures.sheet import FRAME_MS, contact_sheet, save_animation, save_picture
@@ -135,11 +131,11 @@ def render(
         asked = video or any(s in ARM_STATUSES for s in statuses)
         arms = bool(source.rig) and asked
     if source.kind == "library":
-        ids = _shuffled(source.object_ids, seed)[:count]
+        ids = shuffled(source.object_ids, seed)[:count]
         frames = [_object_tiles(source, sorted(ids), device, quiet)]
         shown, chosen = tuple(sorted(ids)), []
     else:
-        chosen = _chosen(source, count, only, statuses, seed, moving=arms and video)
+        chosen = chosen_of_each(source, count, only, statuses, seed, moving=arms and video)
         shown = tuple(str(s.batch["grasp_id"][s.row]) for s in chosen)
         if arms and chosen:
             from bidexdata.runs.arm_pictures import armed_tiles
@@ -155,7 +151,7 @@ def render(
         else:
             frames = _grasp_frames(source, chosen, views, device, video=video, quiet=quiet)
     sides = chosen[0].batch.header.hands if chosen else ()
-    title = sheet_title(source, only, [h.side for h in sides], statuses)
+    title = sheet_title(source, only, [h.side for h in sides], statuses, moving=arms and video)
     if not shown:
         raise NotUsable(f"{path}: {_nothing_words(only, statuses, moving=arms and video)}")
     sheets = (contact_sheet(tiles, title=title, footer=footer) for tiles in frames)
@@ -169,127 +165,9 @@ def render(
     return RenderReport(out, source.kind, shown, footer, perf_counter() - started)
 
 
-def _chosen(
-    source: Browsable,
-    count: int,
-    only: Only | None,
-    statuses: Sequence[Status],
-    seed: int,
-    *,
-    moving: bool,
-) -> list[Shown]:
-    """Choose grasps; as many of each status, at least one."""
-    if not statuses:
-        return choose_grasps(source, count, only=only, seed=seed, moving=moving)
-    each = max(1, count // len(statuses))
-    return [
-        shown
-        for status in statuses
-        for shown in choose_grasps(source, each, only=only, seed=seed, status=status)
-    ]
-
-
-def choose_grasps(
-    source: Browsable,
-    count: int,
-    *,
-    only: Only | None = None,
-    seed: int = 0,
-    status: Status | None = None,
-    moving: bool = False,
-) -> list[Shown]:
-    """Choose grasps with poses, spread over objects, then over sizes.
-
-    Objects are taken in an order that the seed decides, until `count` of them have something to
-    show; then each gives one grasp in turn, its sizes alternating. The result is sorted by object,
-    size and grasp.
-
-    Args:
-        source: A run or a release.
-        count: How many at most.
-        only: Those that passed the first test, or that failed.
-        seed: Chooses others.
-        status: Those whose attempt, arms or any test came to this.
-        moving: Those whose arms have a motion.
-    """
-    queues: list[list[Shown]] = []
-    for object_id in _shuffled(source.object_ids, seed):
-        if len(queues) == count:
-            break
-        batch = source.grasps(object_id)
-        rows = [] if batch is None else _matching(batch, only, everything=status is not None)
-        if batch is not None and (status is not None or moving):
-            mask = _of_arms(source, batch, object_id, status, moving=moving)
-            rows = [row for row in rows if mask[row]]
-        if batch is not None and rows:
-            order = _alternating(batch, rows, seed, len(queues))
-            queues.append([Shown(object_id, batch, row) for row in order])
-    # First of each object, then second of each ...
-    turns = zip_longest(*queues)
-    chosen = [shown for turn in turns for shown in turn if shown is not None][:count]
-    return sorted(
-        chosen,
-        key=lambda s: (
-            s.object_id,
-            int(s.batch["size_mm"][s.row]),
-            str(s.batch["grasp_id"][s.row]),
-        ),
-    )
-
-
 def grasp_tiles(source: Browsable, chosen: Sequence[Shown], views: int = 2) -> list[Tile]:
     """Pictures of chosen grasps with their captions, drawn on the CPU."""
     return _grasp_frames(source, chosen, views, "cpu", video=False, quiet=True)[0]
-
-
-def _of_arms(
-    source: Browsable, batch: GraspBatch, object_id: str, status: Status | None, *, moving: bool
-) -> np.ndarray:
-    """Which rows came to a status, and have a motion where that is asked for, (N,) bool."""
-    from bidexdata.runs.arm_pictures import rows_with_arms
-
-    armed = rows_with_arms(source, object_id, batch) if source.rig else None
-    none = np.zeros(len(batch), bool)
-    moves = none if armed is None else armed["arm_status"] == Status.OK
-    if status is None:
-        return moves
-    found = none if armed is None else armed["arm_status"] == status
-    for rows in rows_by_test(source, object_id, batch).values():
-        for name in ("synth_status", "verdict_status"):
-            if name in rows:
-                found = found | (rows[name] == status)
-    return found & moves if moving else found
-
-
-def _matching(batch: GraspBatch, only: Only | None, *, everything: bool = False) -> list[int]:
-    from bidexdata.pictures.posing import has_pose
-
-    outcome = verdicts_of(batch)
-    keep = np.ones(len(batch), bool)
-    if only is not None:
-        keep = outcome == (1 if only == "success" else 0)
-    if only != "failure" and not everything and "selected" in batch:
-        keep &= batch["selected"]
-    return [int(r) for r in np.flatnonzero(keep) if has_pose(batch, int(r))]
-
-
-def _alternating(batch: GraspBatch, rows: Sequence[int], seed: int, turn: int) -> list[int]:
-    # Sizes alternate, and each object starts with another size.
-    by_size: dict[int, list[int]] = {}
-    names = {str(batch["grasp_id"][r]): r for r in rows}
-    for name in _shuffled(tuple(names), seed):
-        by_size.setdefault(int(batch["size_mm"][names[name]]), []).append(names[name])
-    sizes = sorted(by_size)
-    sizes = sizes[turn % len(sizes) :] + sizes[: turn % len(sizes)]
-    order: list[int] = []
-    while any(by_size.values()):
-        order += [by_size[s].pop(0) for s in sizes if by_size[s]]
-    return order
-
-
-def _shuffled(names: Sequence[str], seed: int) -> list[str]:
-    # By hash: adding an object does not change the order of the others.
-    return sorted(names, key=lambda n: (hashlib.sha256(f"{seed}/{n}".encode()).digest(), n))
 
 
 def _grasp_frames(
@@ -341,19 +219,6 @@ def _object_tiles(
             tiles.append(Tile(pixels, object_caption(solid)))
             progress.advance()
     return tiles
-
-
-def _statuses(labels: Sequence[str]) -> tuple[Status, ...]:
-    """The failures of attempts, arms and tests that are called so.
-
-    Raises:
-        UnknownName: There is none.
-    """
-    known = {s.label: s for s in Status if s >= Status.NO_REGION_PAIR}
-    for label in labels:
-        if label not in known:
-            raise UnknownName("status", label, known)
-    return tuple(known[label] for label in labels)
 
 
 def _nothing_words(only: Only | None, statuses: Sequence[Status], *, moving: bool) -> str:
@@ -408,6 +273,8 @@ def sheet_title(
     only: Only | None,
     sides: Sequence[str],
     statuses: Sequence[Status] = (),
+    *,
+    moving: bool = False,
 ) -> str:
     """Say what a sheet shows: whose grasps, chosen by what, and which hand has which colour."""
     from bidexdata.pictures.drawing import HAND_COLOUR_NAMES
@@ -415,8 +282,8 @@ def sheet_title(
     what = {"success": "grasps that passed", "failure": "grasps that failed", None: "grasps"}[only]
     if source.kind == "library":
         return f"{source.path.name}: objects, repaired mesh beside convex pieces"
-    # The first test chose the grasps; without a choice the verdicts of all are told.
-    tests = source.tests[:1] if only else source.tests
+    # One test chose the grasps; without a choice the verdicts of all are told.
+    tests = (judging_test(source, moving=moving),) if only else source.tests
     named = f"{'tests' if len(tests) > 1 else 'test'} {', '.join(tests)}"
     test = f" ({named} of {source.protocol})" if tests else " (not validated)"
     if statuses:

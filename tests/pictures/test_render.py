@@ -11,7 +11,8 @@ from PIL import Image
 from bidexdata.errors import BadConfig, MissingExtra, NotUsable, PathNotFound
 from bidexdata.runs import render as render_module
 from bidexdata.runs.browse import open_browsable, verdicts_of
-from bidexdata.runs.render import choose_grasps, render
+from bidexdata.runs.choose import choose_grasps
+from bidexdata.runs.render import render
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +23,9 @@ def source(hands):
 @pytest.fixture
 def opened(source, monkeypatch):
     """Let `render` find the hand-made rows under any path."""
-    monkeypatch.setattr(render_module, "open_browsable", lambda path, protocol=None, rig=None: source)
+    monkeypatch.setattr(
+        render_module, "open_browsable", lambda path, protocol=None, rig=None: source
+    )
     monkeypatch.setattr(render_module, "WIDTH", 60)
     monkeypatch.setattr(render_module, "HEIGHT", 48)
 
