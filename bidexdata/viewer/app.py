@@ -33,6 +33,7 @@ def serve(
     path: str | Path,
     *,
     protocol: str | None = None,
+    rig: str | Path | None = None,
     host: str = DEFAULT_HOST,
     port: int = DEFAULT_PORT,
     block: bool = True,
@@ -42,6 +43,7 @@ def serve(
     Args:
         path: What to show.
         protocol: Whose verdicts; when omitted a release's default, else `paper-1` or the only one.
+        rig: Whose arms, where a run has solutions of several rigs; see `Run.rig` when omitted.
         host: Address to listen on; `0.0.0.0` shows it to everyone who reaches this machine.
         port: Where to listen; the next free port when it is taken (`server.get_port()`).
         block: Serve until interrupted, then stop. Otherwise return at once; call `server.stop()`.
@@ -50,10 +52,10 @@ def serve(
         PathNotFound: `path` does not exist.
         NotUsable: There is nothing to show, no saying whose verdicts are meant, or `host` is no
             address of this machine.
-        UnknownName: There are no verdicts of the protocol.
+        UnknownName: There are no verdicts of the protocol, or no arms of the rig.
         MissingExtra: viser is not installed.
     """
-    server = serve_source(open_browsable(path, protocol), host=host, port=port)
+    server = serve_source(open_browsable(path, protocol, rig), host=host, port=port)
     if block:
         wait_until_interrupted(server)
     return server

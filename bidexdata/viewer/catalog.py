@@ -15,9 +15,11 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from bidexdata.errors import BidexError
 from bidexdata.pictures.posing import has_pose
 from bidexdata.record import GraspBatch
 from bidexdata.record.status import Status
+from bidexdata.runs.arm_pictures import join_arms
 from bidexdata.runs.browse import Browsable, rows_by_test, verdicts_of
 from bidexdata.runs.release_rows import (
     NO_POSE,
@@ -29,6 +31,7 @@ from bidexdata.runs.release_rows import (
 from bidexdata.viewer.nodes import body_meshes
 
 if TYPE_CHECKING:
+    from bidexdata.arms.robot import Robot
     from bidexdata.hands.model import Hand
     from bidexdata.objects.prepared import Solid
 
@@ -57,6 +60,9 @@ class Catalog:
         self._lock = threading.RLock()
         self._solids: OrderedDict[str, Solid] = OrderedDict()
         self._batches: OrderedDict[str, dict[str, GraspBatch]] = OrderedDict()
+        self._armed: OrderedDict[str, GraspBatch | None] = OrderedDict()
+        self.no_robot = ""
+        """Why the arms cannot be shown, where there should be some."""
 
     @cached_property
     def object_ids(self) -> tuple[str, ...]:
@@ -83,6 +89,23 @@ class Catalog:
         """In the order of the H axis; none for a library."""
         with self._lock:
             return self.source.hands()
+
+    @cached_property
+    def robot(self) -> Robot | None:
+        """The rig with the hands; None where nothing has arm solutions, or it cannot be had here."""
+        with self._lock:
+            try:
+                return self.source.robot()
+            except BidexError as err:
+                self.no_robot = str(err)
+                return None
+
+    def armed(self, object_id: str, batch: GraspBatch) -> GraspBatch | None:
+        """Rows of an object with the columns of arms; None where there are none of it."""
+        if not self.source.rig:
+            return None
+        solved = self._cached(self._armed, object_id, self.source.arms)
+        return None if solved is None or not len(solved) else join_arms(batch, solved)
 
     def preload(self) -> None:
         """Load the hands, the first object and the first rows before a page asks for them."""

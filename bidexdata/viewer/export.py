@@ -15,24 +15,34 @@ import numpy as np
 
 from bidexdata.errors import BadConfig, NotUsable
 from bidexdata.pictures.posing import has_pose, poses_at
-from bidexdata.record import GraspBatch
+from bidexdata.record import GraspBatch, Status
+from bidexdata.runs.arm_pictures import rows_with_arms
 from bidexdata.runs.browse import Browsable, open_browsable, rows_by_test
 from bidexdata.runs.first_digits import DIGITS, id_digits, require_one
 from bidexdata.runs.shards import write_text
 from bidexdata.viewer.nodes import GraspNodes
-from bidexdata.viewer.page import FIELD_OF_VIEW, camera_at
+from bidexdata.viewer.page import FIELD_OF_VIEW, camera_at, camera_at_arms
 from bidexdata.viewer.server import DEFAULT_HOST, free_port, require_viser, silent, started
-from bidexdata.viewer.words import identity_markdown, object_markdown, scores, verdict_html
+from bidexdata.viewer.words import (
+    arms_markdown,
+    identity_markdown,
+    object_markdown,
+    scores,
+    verdict_html,
+)
 
 if TYPE_CHECKING:
     import viser
 
+    from bidexdata.arms.motion import Motion
     from bidexdata.objects.prepared import Solid
 
 PAGE_ENDINGS = (".html", ".htm")
 STEPS = 41
 """Poses from pre-grasp over grasp to squeeze, both ends included."""
 STEP_SECONDS = 0.06
+MOTION_STEP = 0.1
+"""Between two poses of a motion of arms [s]."""
 REST_SECONDS = 1.0
 """How long the first, the middle and the last pose stand still [s]."""
 _STYLE = (
@@ -52,7 +62,12 @@ class ExportedGrasp(NamedTuple):
 
 
 def export_grasp(
-    path: str | Path, wanted: str, out: str | Path, *, protocol: str | None = None
+    path: str | Path,
+    wanted: str,
+    out: str | Path,
+    *,
+    protocol: str | None = None,
+    rig: str | Path | None = None,
 ) -> ExportedGrasp:
     """Write one grasp of a run or a release as a page of its own.
 
@@ -61,6 +76,7 @@ def export_grasp(
         wanted: A grasp_id, or the first digits of it.
         out: An .html file; one that is there is replaced.
         protocol: Whose verdicts are told; as `open_browsable` takes it.
+        rig: Whose arms move it, likewise; without arms the hands move alone.
 
     Raises:
         BadValue: `wanted` is no such number.
@@ -73,15 +89,16 @@ def export_grasp(
         raise BadConfig(f"--out {out}: a page is written as one of {', '.join(PAGE_ENDINGS)}")
     digits = id_digits("--export", wanted)
     require_viser()
-    source = open_browsable(path, protocol)
+    source = open_browsable(path, protocol, rig)
     tested = find_grasp(source, digits)
     batch = next(iter(tested.values()))
     grasp_id, object_id = str(batch["grasp_id"][0]), str(batch["object_id"][0])
     if not has_pose(batch, 0):
         raise NotUsable(f"grasp {grasp_id} of {path} has no pose: the attempt ended before it")
     solid = source.load_solid(object_id)
-    text = _recorded(source, solid, batch)
-    panel, title = _panel(tested, solid), f"grasp {grasp_id}"
+    armed = rows_with_arms(source, object_id, batch) if source.rig else None
+    text = _recorded(source, solid, batch, armed)
+    panel, title = _panel(tested, solid, armed), f"grasp {grasp_id}"
     text = re.sub(r"<title>.*?</title>", f"<title>{title}</title>", text, count=1, flags=re.DOTALL)
     at = text.rindex("</body>")
     write_text(out, text[:at] + panel + text[at:])
@@ -116,16 +133,23 @@ def find_grasp(source: Browsable, digits: str) -> dict[str, GraspBatch]:
     return found[0]
 
 
-def _recorded(source: Browsable, solid: Solid, batch: GraspBatch) -> str:
+def _recorded(source: Browsable, solid: Solid, batch: GraspBatch, armed: GraspBatch | None) -> str:
+    motion = _motion(source, armed)
     server = started(DEFAULT_HOST, free_port())
     try:
         camera = server.initial_camera
-        camera.position, camera.look_at = camera_at(batch, 0, float(batch["size"][0]))
+        camera.position, camera.look_at = (
+            camera_at(batch, 0, float(batch["size"][0]))
+            if motion is None
+            else camera_at_arms(motion)
+        )
         camera.fov = FIELD_OF_VIEW
         nodes = GraspNodes(server.scene, source.hands())
         nodes.show_scene(solid, batch, 0, "mesh")
         nodes.show_contacts(batch, 0)
         nodes.set_visible(contacts=True, forces=False)
+        if motion is not None:
+            return _film_of_motion(server, nodes, motion)
         return _film(server, nodes, batch)
     finally:
         with silent():
@@ -141,7 +165,42 @@ def _film(server: viser.ViserServer, nodes: GraspNodes, batch: GraspBatch) -> st
     return serializer.as_html()
 
 
-def _panel(tested: Mapping[str, GraspBatch], solid: Solid) -> str:
+def _motion(source: Browsable, armed: GraspBatch | None) -> Motion | None:
+    if armed is None or int(armed["arm_status"][0]) != Status.OK:
+        return None
+    from bidexdata.arms.motion import motion_of
+
+    robot = source.robot()
+    assert robot is not None  # there are arm solutions
+    return motion_of(robot, armed, 0)
+
+
+def _film_of_motion(server: viser.ViserServer, nodes: GraspNodes, motion: Motion) -> str:
+    """The motion at its own speed, key frames included; it rests at the grasp and at its end."""
+    from bidexdata.arms.motion import hand_poses
+    from bidexdata.viewer.arm_nodes import ArmNodes
+
+    arms = ArmNodes(server.scene, motion.robot)
+    arms.show(True)
+    even = np.linspace(0.0, motion.seconds, round(motion.seconds / MOTION_STEP) + 1)
+    times = np.unique(np.concatenate([even, motion.key_time]))
+    rests = motion.key_time[[0, 3, 5]]
+
+    def show(time: float) -> None:
+        moment = motion.at(time)
+        arms.move(moment)
+        nodes.pose(hand_poses(motion.robot, moment))
+        nodes.raise_object(moment.object_pos - motion.object_pos[0])
+
+    show(0.0)
+    serializer = server.get_scene_serializer()
+    for time, after in zip(times, [*times[1:], times[-1]], strict=True):
+        show(float(time))
+        serializer.insert_sleep(float(after - time) + (REST_SECONDS if time in rests else 0.0))
+    return serializer.as_html()
+
+
+def _panel(tested: Mapping[str, GraspBatch], solid: Solid, armed: GraspBatch | None = None) -> str:
     batch = next(iter(tested.values()))
     rows = "".join(
         f"<tr><td>{html.escape(words)}</td><td align=right>{html.escape(value)}</td></tr>"
@@ -150,6 +209,7 @@ def _panel(tested: Mapping[str, GraspBatch], solid: Solid) -> str:
     return (
         f'<div id="bidexdata" style="{_STYLE}">'
         f"<p>{_as_html(object_markdown(solid))}</p><p>{_as_html(identity_markdown(batch, 0))}</p>"
+        f"<p>{_as_html(arms_markdown(armed, 0))}</p>"
         f'{verdict_html(tested, 0)}<table style="width:100%">{rows}</table>'
         "<p>left hand blue, right hand green, contacts and outward normals red</p></div>"
     )

@@ -79,6 +79,8 @@ class GraspNodes:
         self.forces: list[Any] = []
         self.ground: Any = None
         self._shown: tuple[Any, ...] | None = None
+        self._pos = np.zeros(3)
+        self.marks = scene.add_frame("/marks", show_axes=False)  # carries contacts and forces
         scene.set_up_direction("+z")
 
     def show_object(
@@ -94,15 +96,18 @@ class GraspNodes:
         shown = (solid.object_id, size, tuple(pos), tuple(quat_wxyz), surface)
         if shown == self._shown:
             return
-        self._shown = shown
+        self._shown, self._pos = shown, np.asarray(pos, np.float64)
         _remove(self.object)
         for number, part in enumerate(solid_parts(solid, size, surface=surface)):
             node = add_part(self._scene, f"/object/{number}", part)
-            node.position, node.wxyz = (
-                np.asarray(pos, np.float64),
-                np.asarray(quat_wxyz, np.float64),
-            )
+            node.position, node.wxyz = self._pos, np.asarray(quat_wxyz, np.float64)
             self.object.append(node)
+
+    def raise_object(self, by: NDArray[np.float64]) -> None:
+        """Shift object and marks from where the scene has them, (3,) [m]."""
+        for node in self.object:
+            node.position = self._pos + by
+        self.marks.position = by
 
     def show_scene(self, solid: Solid, batch: GraspBatch, row: int, surface: Surface) -> None:
         """Show the object of a row as its scene has it, and the table where there is one."""
@@ -130,20 +135,20 @@ class GraspNodes:
             ball = sphere((0, 0, 0), CONTACT_RADIUS, CONTACT_COLOUR, "contact")
             self.contacts = [
                 self._scene.add_batched_meshes_simple(
-                    "/contacts/points",
+                    "/marks/points",
                     ball.vertices.astype(np.float32),
                     ball.faces,
                     batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1)),
                     batched_positions=points,
                     batched_colors=_bytes(CONTACT_COLOUR),
                 ),
-                self._arrows("/contacts/normals", points, NORMAL_LENGTH * normals, CONTACT_COLOUR),
+                self._arrows("/marks/normals", points, NORMAL_LENGTH * normals, CONTACT_COLOUR),
             ]
         at, forces = forces_in_world(batch, row)
         if len(at):
             # Drawn from outside, its head at the contact point: how the finger pushes.
             shown = FORCE_LENGTH * forces
-            self.forces = [self._arrows("/forces", at - shown, shown, FORCE_COLOUR)]
+            self.forces = [self._arrows("/marks/forces", at - shown, shown, FORCE_COLOUR)]
 
     def clear_contacts(self) -> None:
         """Remove contacts and forces."""

@@ -20,8 +20,10 @@ from bidexdata.record import GraspBatch
 from bidexdata.runs.release_rows import RowFilter
 from bidexdata.viewer.catalog import Catalog, Found
 from bidexdata.viewer.filters import FilterWidgets
+from bidexdata.viewer.motion_panel import MotionPanel
 from bidexdata.viewer.nodes import GraspNodes
 from bidexdata.viewer.words import (
+    arms_markdown,
     found_markdown,
     identity_markdown,
     object_markdown,
@@ -32,6 +34,9 @@ from bidexdata.wording import counted
 
 if TYPE_CHECKING:
     import viser
+
+    from bidexdata.arms.motion import Motion
+    from bidexdata.viewer.arm_nodes import ArmNodes
 
 Aim = Callable[[NDArray[np.float64], NDArray[np.float64]], None]
 """Points a camera: position and the point it looks at [m]."""
@@ -46,6 +51,10 @@ FIELD_OF_VIEW = float(np.radians(35.0))
 """Vertical opening angle of the page's camera [rad]; viser's own is 75 degrees."""
 PLAY_SECONDS = 2.5
 _PLAY_STEPS = 50
+MOTION_SPEED = 1.0
+"""Seconds of a motion of arms that play in one [-]."""
+_TICK = 0.04
+"""Between two pictures of it [s]."""
 KEYS = (
     "**N** / **P** next / previous grasp · **O** / **shift O** next / previous object · "
     "**1** **2** **3** stages · **space** play"
@@ -67,7 +76,7 @@ class Page:
         self._lock = threading.RLock()
         self._setting = False  # a widget is being set from here, not by the person
         self._playing = self._closed = False
-        self._aimed_at: tuple[str, float] | None = None
+        self._aimed_at: tuple[str, float, bool] | None = None
         self._applied: RowFilter | None = None
         self.found = Found((), None, lambda _: [])
         self.object_id = ""
@@ -78,6 +87,8 @@ class Page:
         self._build_widgets()
         self._build_keys()
         self.nodes = GraspNodes(scene, catalog.hands)
+        self._scene = scene
+        self.arm_nodes: ArmNodes | None = None  # sent when there is something to see
         self.apply_filters()
 
     @property
@@ -123,6 +134,7 @@ class Page:
             self.tested = {} if row is None else self.catalog.grasp(self.object_id, row)
             self.batch = next(iter(self.tested.values()), None)
             self._show_object(self.batch)
+            self._offer_motion()
             if self.batch is None:
                 self.nodes.clear_contacts()
                 self.verdict.content = NO_MATCH if self._has_grasps else ""
@@ -134,16 +146,30 @@ class Page:
                 self.scores.content = scores_markdown(self.tested, 0)
             self._say_count()
             self.show_marks()
-            self.show_stage()
-            self._aim_camera()
+            self.show_arms()
 
     def show_stage(self) -> None:
-        """Move the hands to the stage slider's moment."""
+        """Move the hands to the stage slider's moment, or with arms to the time slider's."""
         with self._lock:
-            if self.batch is None or not has_pose(self.batch, 0):
+            if self.motion.shown:
+                self._show_motion(float(self.motion.time.value))
+            elif self.batch is None or not has_pose(self.batch, 0):
                 self.nodes.pose(None)
             else:
                 self.nodes.pose(poses_at(self.batch, 0, float(self.stage.value)))
+
+    def show_arms(self) -> None:
+        """Show or hide the arms as their box says."""
+        with self._lock:
+            shown = self.motion.shown
+            self.motion.show()
+            self.stage.visible = not shown
+            if self.arm_nodes is not None:
+                self.arm_nodes.show(shown)
+            if not shown:
+                self.nodes.raise_object(np.zeros(3))
+            self.show_stage()
+            self._aim_camera()
 
     def show_marks(self) -> None:
         """Show or hide contacts and forces as their boxes say."""
@@ -174,17 +200,32 @@ class Page:
             self.apply_filters()
 
     def set_stage(self, moment: float) -> None:
-        """Put the stage slider somewhere."""
+        """Put the stage slider somewhere; with arms the time slider to when they are there."""
+        if self.motion.shown:
+            self.set_time(self.motion.time_of_stage(moment))
+            return
         self._set(self.stage, value=moment)
         self.show_stage()
 
+    def set_time(self, time: float) -> None:
+        """Put the time slider somewhere [s]."""
+        with self._lock:
+            self._set(self.motion.time, value=time)
+            self.show_stage()
+
     def play(self) -> None:
-        """Move from pre-grasp to squeeze; a second press while it moves does nothing."""
+        """Move from pre-grasp to squeeze, with arms from home to the lift.
+
+        A second press while it moves does nothing.
+        """
         with self._lock:
             if self._playing or self.batch is None or not has_pose(self.batch, 0):
                 return
             self._playing = True
         try:
+            if self.motion.shown:
+                self._play_motion()
+                return
             for moment in np.linspace(0, 2, _PLAY_STEPS):
                 if self._closed:
                     break
@@ -192,6 +233,18 @@ class Page:
                 time.sleep(PLAY_SECONDS / _PLAY_STEPS)
         finally:
             self._playing = False
+
+    def _play_motion(self) -> None:
+        """Play the motion at its own speed, as many pictures of it as there is time for."""
+        motion, began = self.motion.motion, time.monotonic()
+        assert motion is not None
+        at = 0.0
+        while self.motion.motion is motion and self.motion.shown and not self._closed:
+            self.set_time(at)
+            if at >= motion.seconds:
+                break
+            time.sleep(_TICK)
+            at = min(MOTION_SPEED * (time.monotonic() - began), motion.seconds)
 
     def close(self) -> None:
         """End what still moves: the browser is gone."""
@@ -210,17 +263,25 @@ class Page:
                 hint="repaired mesh, or the convex pieces that are simulated",
             )
             self.about = gui.add_markdown("")
-        with gui.add_folder("Grasp", visible=shown):
+        grasp_folder = gui.add_folder("Grasp", visible=shown)
+        with grasp_folder:
             self.count = gui.add_markdown("")
             self.grasp = gui.add_slider("grasp", 1, 2, 1, 1)
             grasps = gui.add_button_group("go to", ("previous", "next"))
             self.stage = gui.add_slider("stage", 0.0, 2.0, 0.02, 1.0, marks=STAGE_MARKS)
-            play = gui.add_button("play", hint="pre-grasp to squeeze")
+            self.motion = MotionPanel(
+                *(gui, grasp_folder, self.catalog.source.rig),
+                toggled=self.show_arms,
+                moved=self.show_stage,
+                watch=self._on_update,
+            )
+            play = gui.add_button("play", hint="pre-grasp to squeeze; arms from home to the lift")
             self.contacts = gui.add_checkbox("contacts and normals", True)
             self.forces = gui.add_checkbox("forces", False, hint="of the zero-load QP, orange")
         with gui.add_folder("Verdict and scores", visible=shown):
             self.verdict = gui.add_html("")
             self.identity = gui.add_markdown("")
+            self.arm_words = gui.add_markdown("")
             self.scores = gui.add_markdown("")
         with gui.add_folder("Keys", expand_by_default=False):
             gui.add_markdown(KEYS if shown else "**O** / **shift O** next / previous object")
@@ -288,6 +349,33 @@ class Page:
         at = int(self.grasp.value) if total else 0
         self.count.content = f"{at:,} of {counted(total, 'grasp')} of this object"
 
+    def _offer_motion(self) -> None:
+        """Read what the arms have for the row, say it, and send them where there is a motion."""
+        batch = None if self.batch is None else self.catalog.armed(self.object_id, self.batch)
+        robot = None if batch is None else self.catalog.robot
+        motion = None
+        if batch is not None and robot is not None:
+            from bidexdata.arms.motion import motion_of
+
+            motion = motion_of(robot, batch, 0)
+        self.arm_words.content = arms_markdown(batch, 0, self.catalog.no_robot)
+        if motion is not None and self.arm_nodes is None:
+            from bidexdata.viewer.arm_nodes import ArmNodes
+
+            self.arm_nodes = ArmNodes(self._scene, motion.robot)
+        self.motion.offer(motion)
+
+    def _show_motion(self, at: float) -> None:
+        from bidexdata.arms.motion import hand_poses
+
+        motion = self.motion.motion
+        assert motion is not None
+        assert self.arm_nodes is not None
+        moment = motion.at(at)
+        self.arm_nodes.move(moment)
+        self.nodes.pose(hand_poses(motion.robot, moment))
+        self.nodes.raise_object(moment.object_pos - motion.object_pos[0])
+
     def _show_object(self, batch: GraspBatch | None) -> None:
         surface: Surface = "pieces" if self.surface.value == "pieces" else "mesh"
         if batch is None:
@@ -304,11 +392,16 @@ class Page:
 
     def _aim_camera(self) -> None:
         size = LIBRARY_SIZE if self.batch is None else float(self.batch["size"][0])
-        # A person who turned the view keeps it until another object or size comes.
-        if self._aimed_at == (self.solid.object_id, size):
+        # A person who turned the view keeps it until another object or size comes, or the arms do.
+        aimed = (self.solid.object_id, size, self.motion.shown)
+        if self._aimed_at == aimed:
             return
-        self._aimed_at = (self.solid.object_id, size)
-        self._aim(*camera_at(self.batch, 0, size))
+        self._aimed_at = aimed
+        motion = self.motion.motion if self.motion.shown else None
+        if motion is None:
+            self._aim(*camera_at(self.batch, 0, size))
+        else:
+            self._aim(*camera_at_arms(motion))
 
 
 def camera_at(
@@ -330,6 +423,16 @@ def camera_at(
     away = 0.5 * (size + (0.45 if hands else 0.1)) / np.tan(0.5 * FIELD_OF_VIEW)
     seen = [centre, *hands] if len(hands) == 1 else hands
     return centre + away * side_direction(seen), centre
+
+
+def camera_at_arms(motion: Motion) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where to look from and at, so that arms and hands stay in view through a motion [m]."""
+    from bidexdata.arms.motion import hand_poses
+    from bidexdata.viewer.arm_nodes import reach_of_motion
+
+    centre, half = reach_of_motion(motion)
+    hands = hand_poses(motion.robot, motion.at(0.0)).pos
+    return centre + half / np.tan(0.5 * FIELD_OF_VIEW) * side_direction(list(hands)), centre
 
 
 def _direction(label: str) -> int:

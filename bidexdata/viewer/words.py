@@ -12,6 +12,7 @@ from bidexdata.objects.prepared import Solid
 from bidexdata.pictures.captions import verdicts_words
 from bidexdata.record import GraspBatch
 from bidexdata.record.fields import OF_TEST
+from bidexdata.runs.arm_pictures import arm_words
 from bidexdata.wording import counted
 
 if TYPE_CHECKING:
@@ -36,6 +37,12 @@ _SCORES = (
     ("drift_pos", "drift under load", 1e3, "mm"),
     ("drift_rot", "turn under load", 180 / np.pi, "°"),
     ("load_margin", "load margin", 1.0, ""),
+)
+_CLEARANCES = (
+    ("clear_table", "the table by"),
+    ("clear_object", "the object by"),
+    ("clear_arms", "each other by"),
+    ("clear_self", "themselves by"),
 )
 _COLOURS = {True: "#18804a", False: "#be2824", None: "#6e7278"}
 
@@ -76,6 +83,31 @@ def scores(tested: Mapping[str, GraspBatch], row: int) -> list[tuple[str, str]]:
     for side, value in zip(("left", "right"), _residuals(batch, row), strict=False):
         lines.append((f"QP residual, {side} hand", f"{value:.3g}"))
     return lines
+
+
+def arms_markdown(batch: GraspBatch | None, row: int, why_hidden: str = "") -> str:
+    """What the arms came to, how long they take and how close they come to things.
+
+    Args:
+        batch: Rows with the columns of arms; None where there are none.
+        row: Which.
+        why_hidden: Why the arms are not shown though there are some.
+    """
+    if batch is None:
+        return ""
+    told, good = arm_words(batch, row)
+    lines = [f"arms: {told}"]
+    if good:
+        gaps = [
+            f"{words} {1e3 * float(batch[name][row]):.0f} mm"
+            for name, words in _CLEARANCES
+            if np.isfinite(batch[name][row])
+        ]
+        lines += [f"clear of {', '.join(gaps)}"] if gaps else []
+        lines.append(f"largest turn from knot to knot {float(batch['arm_step'][row]):.2f} rad")
+    if why_hidden:
+        lines.append(f"not shown: {why_hidden}")
+    return "  \n".join(lines)
 
 
 def found_markdown(found: Found) -> str:

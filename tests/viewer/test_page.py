@@ -316,7 +316,7 @@ def test_the_server_listens_here_only_and_closes_cleanly(source):
 
 
 def test_a_taken_port_is_said_and_the_address_is_that_of_the_server(source, monkeypatch, capsys):
-    monkeypatch.setattr("bidexdata.viewer.app.open_browsable", lambda path, protocol: source)
+    monkeypatch.setattr("bidexdata.viewer.app.open_browsable", lambda path, protocol, rig: source)
     monkeypatch.setattr("bidexdata.viewer.app.wait_until_interrupted", lambda s: s.stop())
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))

@@ -1,0 +1,66 @@
+"""Arms in a page's scene: a mesh per body, sent to the browser once; a moment moves their frames."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bidexdata.arms.robot_shapes import FIXTURE, body_places, drawn_bodies, room_parts
+from bidexdata.frames import quat_from_matrix
+from bidexdata.pictures.drawing import joined
+from bidexdata.viewer.nodes import add_part
+
+if TYPE_CHECKING:
+    import viser
+
+    from bidexdata.arms.motion import Moment, Motion
+    from bidexdata.arms.robot import Robot
+
+
+class ArmNodes:
+    """Both arms of a robot with what they stand on, hidden at first; the hands are nodes of their own."""
+
+    def __init__(self, scene: viser.SceneApi, robot: Robot):
+        self.robot = robot
+        self.base = scene.add_frame("/arms", show_axes=False)
+        self.bodies: list[dict[int, Any]] = []
+        for h in range(2):
+            nodes: dict[int, Any] = {}
+            for body in drawn_bodies(robot, h):
+                if body.label.endswith("_arm") and body.parts:
+                    whole = joined(body.parts, body.parts[0].colour, body.label)
+                    nodes[body.number] = add_part(scene, f"/arms/{body.name}", whole)
+            self.bodies.append(nodes)
+        self.fixtures = [
+            add_part(scene, f"/arms/{FIXTURE}{number}", part)
+            for number, part in enumerate(room_parts(robot))
+            if part.label == FIXTURE
+        ]
+        self.show(False)
+
+    def move(self, moment: Moment) -> None:
+        """Move the arms to a moment."""
+        for h, nodes in enumerate(self.bodies):
+            places = body_places(self.robot, h, moment.arms[h], moment.joints[h])
+            quats = quat_from_matrix(places.rot)
+            for number, node in nodes.items():
+                node.position, node.wxyz = places.pos[number], quats[number]
+
+    def show(self, visible: bool) -> None:
+        """Show or hide all of it."""
+        self.base.visible = visible
+
+
+def reach_of_motion(motion: Motion) -> tuple[NDArray[np.float64], float]:
+    """Middle of the box that arms and hands move in, and half of its diagonal [m]."""
+    points = [np.asarray(motion.object_pos)]
+    for time in motion.key_time:
+        moment = motion.at(float(time))
+        for h in range(2):
+            places = body_places(motion.robot, h, moment.arms[h], moment.joints[h])
+            points.append(places.pos[1:])  # the first is the world
+    every = np.concatenate(points)
+    low, high = every.min(axis=0), every.max(axis=0)
+    return (low + high) / 2, float(np.linalg.norm(high - low)) / 2
