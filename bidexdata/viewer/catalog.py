@@ -108,9 +108,10 @@ class Catalog:
         return None if solved is None or not len(solved) else join_arms(batch, solved)
 
     def preload(self) -> None:
-        """Load the hands, the first object and the first rows before a page asks for them."""
+        """Load hands, arms, the first object and the first rows before a page asks for them."""
         for hand in self.hands:
             body_meshes(hand)
+        _ = self.robot
         found = self.find(RowFilter(test=self.source.test))
         first = (*found.object_ids, *self.object_ids)[0]
         self.solid(first)
