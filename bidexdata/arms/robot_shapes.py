@@ -81,19 +81,7 @@ def robot_parts(
     Returns:
         Parts labelled `left_arm`, `left`, `right_arm`, `right` and `marked`, one of each at most.
     """
-    found: dict[str, list[Part]] = {}
-    for h in range(2):
-        angles = robot.hands[h].posture_open if joints is None else joints[h]
-        pos, rot = body_places(robot, h, q[h], angles)
-        for body in drawn_bodies(robot, h):
-            label = MARKED if body.name in marked else body.label
-            placed = [moved(p, rot[body.number], pos[body.number]) for p in body.parts]
-            found.setdefault(label, []).extend(placed)
-    return [
-        joined(parts, MARKED_COLOUR if label == MARKED else parts[0].colour, label)
-        for label, parts in found.items()
-        if parts
-    ]
+    return _parts(robot, q, joints, marked, with_hands=True)
 
 
 def arm_parts(robot: Robot, q: NDArray[np.float64]) -> list[Part]:
@@ -106,7 +94,7 @@ def arm_parts(robot: Robot, q: NDArray[np.float64]) -> list[Part]:
     Returns:
         Parts labelled `left_arm` and `right_arm`.
     """
-    return [part for part in robot_parts(robot, q) if part.label.endswith("_arm")]
+    return _parts(robot, q, None, (), with_hands=False)
 
 
 def room_parts(robot: Robot, *, marked: Collection[str] = ()) -> list[Part]:
@@ -145,6 +133,30 @@ def body_places(
     data.qpos[drawn.hand_qpos] = joints[: len(drawn.hand_qpos)]
     mujoco.mj_kinematics(drawn.model, data)
     return Places(np.array(data.xpos), np.array(data.xmat).reshape(-1, 3, 3))
+
+
+def _parts(
+    robot: Robot,
+    q: NDArray[np.float64],
+    joints: NDArray[np.float64] | None,
+    marked: Collection[str],
+    *,
+    with_hands: bool,
+) -> list[Part]:
+    found: dict[str, list[Part]] = {}
+    for h in range(2):
+        angles = robot.hands[h].posture_open if joints is None else joints[h]
+        pos, rot = body_places(robot, h, q[h], angles)
+        for body in drawn_bodies(robot, h):
+            if with_hands or body.label.endswith("_arm"):
+                label = MARKED if body.name in marked else body.label
+                placed = [moved(p, rot[body.number], pos[body.number]) for p in body.parts]
+                found.setdefault(label, []).extend(placed)
+    return [
+        joined(parts, MARKED_COLOUR if label == MARKED else parts[0].colour, label)
+        for label, parts in found.items()
+        if parts
+    ]
 
 
 @lru_cache(maxsize=8)

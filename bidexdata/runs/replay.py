@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 FPS = 25
 """Pictures per second; one per 0.04 s of simulation shows it at its own speed."""
+ARM_FPS = 12.5
+"""The same with arms, which take longer to draw and twice as long to move."""
 _LAST_SECONDS = 1.0
 """The last picture stays for so long [s]."""
 
@@ -134,7 +136,7 @@ def replay_grasp(
     frames = 0
     with engine_warnings_logged():
         grasp = grasp_of(batch, 0)
-        watch = _keep(moments, joints)
+        watch = _keep(moments, joints, fps_of(test))
         verdict = TESTS[test](scenes, protocol, grasp, Execution(plain=plain), watch)
     if path is not None:
         if not moments:
@@ -142,6 +144,11 @@ def replay_grasp(
         beside = None if robot is None else _arms_of(robot)
         frames = _draw(path, batch, solid, scene, test, moments, verdict, beside, quiet=quiet)
     return Replay(grasp_id, test, protocol.name, verdict, stored, tuple(moments), path, frames)
+
+
+def fps_of(test: str) -> float:
+    """Pictures per second of a film of a test."""
+    return ARM_FPS if test in WITH_ARMS else FPS
 
 
 def _check_video(path: Path) -> None:
@@ -190,7 +197,7 @@ def _arms_of(robot: Robot) -> Beside:
 
 
 def _keep(
-    moments: list[Moment], arm_qpos: Sequence[NDArray[np.intp]]
+    moments: list[Moment], arm_qpos: Sequence[NDArray[np.intp]], fps: float
 ) -> Callable[[str, float, SimScene], None]:
     """A watch that keeps one moment per picture of the video."""
     from bidexdata.pictures.simulated import read_simulated_pose
@@ -203,7 +210,7 @@ def _keep(
         if new:
             known, began = phase, film
         film = began + lasted
-        if new or film - moments[-1].time > 1 / FPS - 1e-6:
+        if new or film - moments[-1].time > 1 / fps - 1e-6:
             moments.append(Moment(film, phase, read_simulated_pose(scene, arm_qpos)))
 
     return watch
@@ -228,7 +235,8 @@ def _draw(
     from bidexdata.pictures.video import save_video
     from bidexdata.simulation.assembly import TABLE_GEOM
 
-    total = len(moments) - 1 + round(_LAST_SECONDS * FPS)
+    fps = fps_of(test)
+    total = len(moments) - 1 + round(_LAST_SECONDS * fps)
     size = in_metres(batch["size"][0])
     # Arms bring a table of their own, which is larger.
     table = not beside and TABLE_GEOM in {
@@ -260,5 +268,5 @@ def _draw(
                 yield from [picture] * times
                 progress.advance(times)
 
-    save_video(frames(), path, FPS)
+    save_video(frames(), path, fps)
     return total

@@ -8,7 +8,8 @@ import pytest
 from picture_samples import Made
 from PIL import Image
 
-from bidexdata.errors import BadConfig, MissingExtra, NotUsable, PathNotFound
+from bidexdata.errors import BadConfig, MissingExtra, NotUsable, PathNotFound, UnknownName
+from bidexdata.record.status import Status
 from bidexdata.runs import render as render_module
 from bidexdata.runs.browse import open_browsable, verdicts_of
 from bidexdata.runs.choose import choose_grasps
@@ -49,6 +50,21 @@ def test_chosen_grasps_are_different_spread_and_what_was_asked_for(source, count
     assert max(per_object) - min(per_object) <= 1
     if count == 5 and only is None:
         assert {int(s.batch["size_mm"][s.row]) for s in chosen} == {300, 500}
+
+
+def test_grasps_are_chosen_by_what_became_of_them(source, opened, tmp_path: Path):
+    chosen = choose_grasps(source, 9, status=Status.SLIP)
+    assert chosen
+    assert {int(s.batch["verdict_status"][s.row]) for s in chosen} == {Status.SLIP}
+    assert choose_grasps(source, 9, status=Status.NO_PLACEMENT) == []  # without a pose
+    report = render("run", tmp_path / "a.png", status=["slip"], count=1, views=1, quiet=True)
+    assert len(report.shown) == 1
+    with pytest.raises(UnknownName, match=r"no status is called 'slipp' \(did you mean 'slip'"):
+        render("run", tmp_path / "b.png", status=["slipp"], quiet=True)
+    with pytest.raises(NotUsable, match=r"--status jump chooses nothing; run: bidexdata arms made"):
+        render("run", tmp_path / "b.png", status=["jump"], quiet=True)
+    with pytest.raises(NotUsable, match="--arms draws nothing"):
+        render("run", tmp_path / "b.png", arms=True, quiet=True)
 
 
 def test_another_seed_chooses_other_grasps(source):

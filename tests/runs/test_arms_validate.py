@@ -119,6 +119,51 @@ def test_a_replay_gives_the_stored_verdict_and_shows_arms_when_asked(run: Run, t
         assert json.loads(capsys.readouterr().out)["test"] == test
 
 
+def test_a_replay_with_arms_is_filmed(run: Run, tmp_path, monkeypatch, capsys):
+    import av
+
+    from bidexdata.runs import replay
+
+    monkeypatch.setattr(replay, "ARM_FPS", 1.0)  # few pictures: drawing is what takes time
+    _, batch, found = next(rows(run))
+    moved = np.flatnonzero(np.isfinite(found["drift_pos"]) & (batch["arm_status"] == Status.OK))
+    said = ["validate", str(run.path), "--replay", str(batch["grasp_id"][moved[0]])]
+    film = tmp_path / "a.mp4"
+    assert bidexdata([*said, "--tests", "a", "--video", str(film), "--json", "--quiet"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    with av.open(str(film)) as movie:
+        frames = [f.to_ndarray(format="rgb24") for f in movie.decode(video=0)]
+    assert len(frames) == told["frames"] >= told["seconds_simulated"]
+    assert np.abs(frames[0].astype(int) - frames[-2]).max() > 50  # the arms have moved
+
+
+def test_motions_are_filmed_and_what_stopped_the_others_is_drawn(run: Run, tmp_path, monkeypatch):
+    from PIL import Image
+
+    from bidexdata.runs import arm_pictures
+    from bidexdata.runs.render import render
+
+    small = arm_pictures.Size(64, 48)
+    monkeypatch.setattr(arm_pictures, "SIZE", small)
+    monkeypatch.setattr(arm_pictures, "FILM_SIZE", small)
+    monkeypatch.setattr(arm_pictures, "film_times", lambda rows, seconds: [0.0, 1e9])
+    status = {str(i): Status(int(s)) for _, b, _ in rows(run)
+              for i, s in zip(b["grasp_id"], b["arm_status"], strict=True)}  # fmt: skip
+    made = render(run.path, tmp_path / "a.gif", video=True, count=1, quiet=True)
+    assert [status[name] for name in made.shown] == [Status.OK]
+    with Image.open(made.out) as movie:
+        assert movie.n_frames == 2
+    alone = render(run.path, tmp_path / "b.gif", video=True, arms=False, count=1, quiet=True)
+    with Image.open(alone.out) as movie:
+        assert movie.n_frames > 2  # stages of the hands
+    failed = {s.label for s in status.values()} - {"ok", "no_grasp"}
+    for label in failed:
+        made = render(run.path, tmp_path / "c.png", status=[label], views=1, count=9, quiet=True)
+        assert {status[name].label for name in made.shown} == {label}
+    with pytest.raises(NotUsable, match="nothing to draw with --status jump"):
+        render(run.path, tmp_path / "d.png", status=["jump"], quiet=True)
+
+
 def test_figures_tell_reach_apart_from_success(run: Run):
     figures = describe(run.path)["figures"]
     assert list(figures["tests"]) == ["f", "l", "a"]
