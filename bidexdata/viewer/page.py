@@ -53,6 +53,8 @@ PLAY_SECONDS = 2.5
 _PLAY_STEPS = 50
 MOTION_SPEED = 1.0
 """Seconds of a motion of arms that play in one [-]."""
+_ROOM = 1.15
+"""The camera stands so much farther from arms than they need: widgets cover a part of the page."""
 _TICK = 0.04
 """Between two pictures of it [s]."""
 KEYS = (
@@ -432,7 +434,8 @@ def camera_at_arms(motion: Motion) -> tuple[NDArray[np.float64], NDArray[np.floa
 
     centre, half = reach_of_motion(motion)
     hands = hand_poses(motion.robot, motion.at(0.0)).pos
-    return centre + half / np.tan(0.5 * FIELD_OF_VIEW) * side_direction(list(hands)), centre
+    away = _ROOM * half / np.tan(0.5 * FIELD_OF_VIEW)
+    return centre + away * side_direction(list(hands)), centre
 
 
 def _direction(label: str) -> int:
