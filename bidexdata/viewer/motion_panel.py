@@ -64,7 +64,7 @@ class MotionPanel:
         self.motion = motion
         self.arms.disabled = motion is None
         if motion is not None:
-            order = self.time.order
+            order = float(self.time.order)
             self.time.remove()
             with self._folder:
                 self.time = self._slider(motion.key_time, order=order)

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from armed_source import armed_source
 from chromium import Chromium, Window, find_chromium, wait_until
 from made_release import OBJECTS, made_release, made_rows
 
 from bidexdata.cli.main import run
 from bidexdata.formats.release import Release
 from bidexdata.hands import load_hands
-from bidexdata.viewer.app import serve
+from bidexdata.viewer.app import serve, serve_source
 from bidexdata.viewer.server import free_port, silent
 
 pytestmark = pytest.mark.slow
@@ -137,6 +138,42 @@ def test_an_exported_grasp_opens_without_a_server(browser, release, tmp_path, ca
     window.wait_for(wanted)
     window.wait_for("test f")
     wait_until_drawn(window, tmp_path / "page.png")
+
+
+def test_arms_are_drawn_and_the_time_slider_moves_them(browser, tmp_path):
+    hands = load_hands("capsule")
+    server = serve_source(armed_source(hands, tmp_path), port=free_port())
+    try:
+        window = browser.open(f"http://127.0.0.1:{server.get_port()}")
+        window.wait_for("arms: made takes it in 2.9 s")
+        window.wait_for("time [s]")
+        with_arms = window.picture(tmp_path / "a.png")
+        wait_until(lambda: pale(window.picture(with_arms)) > DRAWN, "arms")
+        before = image(with_arms)
+        window.press("1")  # another time
+        wait_until(
+            lambda: np.abs(image(window.picture(with_arms)) - before).max() > 60, "a movement"
+        )
+        window.press("n")
+        window.wait_for("jump")
+        assert "time [s]" not in window.text()
+    finally:
+        with silent():
+            server.stop()
+
+
+def image(picture: Path) -> np.ndarray:
+    """Pixels beside the widgets, (h, w, 3)."""
+    from PIL import Image
+
+    return np.asarray(Image.open(picture).convert("RGB"), int)[:, :845]
+
+
+def pale(picture: Path) -> int:
+    """Pixels of the arms' colours: neither white nor grey, nor as strong as hands and object."""
+    pixels = image(picture)
+    spread = pixels.max(axis=2) - pixels.min(axis=2)
+    return int(((spread > 12) & (spread < 60) & (pixels.max(axis=2) < 235)).sum())
 
 
 def shown_rows(release: Path) -> int:

@@ -3,70 +3,29 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import io
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import viser
+from armed_source import FAILED, Armed, armed_source
 from picture_samples import Made
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "arms"))
-
-from made_rig import write_rig
-
-from bidexdata.arms.config import ArmConfig
 from bidexdata.arms.motion import hand_poses, motion_of
-from bidexdata.arms.registry import load_rig
-from bidexdata.arms.robot import mount_robot
 from bidexdata.arms.robot_shapes import body_places
-from bidexdata.arms.solutions import arm_headers, no_solutions
 from bidexdata.errors import NotUsable
 from bidexdata.frames import matrix_from_quat
-from bidexdata.record import GraspBatch, Status
+from bidexdata.record import Status
 from bidexdata.viewer import export
 from bidexdata.viewer import page as page_module
 from bidexdata.viewer.catalog import Catalog
 from bidexdata.viewer.page import Page
 from bidexdata.viewer.server import free_port
 
-CONFIG = ArmConfig()
-FAILED = 2
-"""The row whose arms have no motion; the second of those of 300 mm."""
-
-
-class Armed(Made):
-    """Rows whose arms sway from their rest; made so that each takes another time."""
-
-    rig = "made"
-
-    def __init__(self, hands, robot):
-        super().__init__(hands)
-        self._robot = robot
-
-    def robot(self):
-        return self._robot
-
-    def arms(self, object_id):
-        batch, robot = self.batches[object_id], self._robot
-        found = no_solutions(robot, CONFIG, len(batch), Status.OK)
-        knots = found.arm_time.shape[1]
-        for h, arm in enumerate(robot.arms):
-            sway = 0.5 * np.sin(np.linspace(0, np.pi, knots))[:, None]
-            found.arm_path[:, h, :, : arm.chain.joints] = arm.chain.rest + sway
-        found.arm_time[:] = np.arange(knots) * (0.05 + 0.01 * np.arange(len(batch))[:, None])
-        found.arm_step[:], found.clear_table[:] = 0.05, 0.0123
-        found.arm_status[FAILED], found.arm_path[FAILED] = Status.JUMP, np.nan
-        header = dataclasses.replace(batch.header, arms=arm_headers(robot, CONFIG))
-        return GraspBatch(header, {**batch.columns, **found.to_columns()})
-
 
 @pytest.fixture(scope="module")
 def source(hands, tmp_path_factory):
-    robot = mount_robot(load_rig(write_rig(tmp_path_factory.mktemp("rig"))), hands)
-    return Armed(hands, robot)
+    return armed_source(hands, tmp_path_factory.mktemp("rig"))
 
 
 @pytest.fixture(scope="module")
@@ -194,6 +153,7 @@ def _moved(source, kind):
 def test_an_exported_grasp_moves_with_its_arms(source, tmp_path, monkeypatch):
     monkeypatch.setattr(export, "open_browsable", lambda path, protocol, rig: source)
     monkeypatch.setattr(export, "MOTION_STEP", 1.0)
+    monkeypatch.setattr(export, "STEPS", 3)
     wanted = str(source.batches["box0-00000000"]["grasp_id"][0])
     made = export.export_grasp("run", wanted, tmp_path / "a.html")
     text = made.out.read_text()
