@@ -145,7 +145,7 @@ def _jump(
     other = arms.copy()
     other[h] = _known(robot, found, h, after, way[h], config)
     words = (
-        f"the {SIDES[h]} arm turns a joint by {turn:.1f} rad between {KEY_FRAMES[before]} "
+        f"the {SIDES[h]} arm turns a joint by {turn:.2f} rad between {KEY_FRAMES[before]} "
         f"and {KEY_FRAMES[after]}"
     )
     moment = _moment(grasps, arms, before, config)
@@ -165,7 +165,7 @@ def _collision(
     joints, rise = _fingers(grasps, number), _rise(number, config)
     set_arms(scene, grasps.object_pos[0], grasps.object_quat_wxyz[0], asked[0], joints[0])
     least = np.full(len(number), np.inf)
-    touch = number >= _PREGRASP - 1.0 / _BETWEEN
+    touch = np.asarray(number >= _PREGRASP - 1.0 / _BETWEEN)
     for may in (True, False):
         some = np.flatnonzero(touch == may)
         found_here = arm_distances(

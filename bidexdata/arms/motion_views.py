@@ -14,15 +14,24 @@ from numpy.typing import NDArray
 from bidexdata.arms.furthest import Furthest
 from bidexdata.arms.motion import Moment, Motion
 from bidexdata.arms.robot import Robot
-from bidexdata.arms.robot_shapes import MARKED, MARKED_COLOUR, robot_parts, room_parts
+from bidexdata.arms.robot_shapes import (
+    MARKED,
+    MARKED_COLOUR,
+    body_places,
+    drawn_bodies,
+    robot_parts,
+    room_parts,
+)
 from bidexdata.objects.prepared import Solid
 from bidexdata.pictures.camera import framed
-from bidexdata.pictures.drawing import hand_part, solid_parts
+from bidexdata.pictures.drawing import hand_part, joined, solid_parts
 from bidexdata.pictures.picture import Pixels, side_by_side
 from bidexdata.pictures.raycast import RayScene
-from bidexdata.pictures.scene import Part
+from bidexdata.pictures.scene import Part, moved
 from bidexdata.pictures.views import OBJECT, SUBJECTS, choose_views, subject_points
 
+_SAME = 1e-6
+"""Bodies that are nearer to where they were stand still [m, -]."""
 _POINTS = 4000
 """As many of a moment's points are enough to place a camera."""
 
@@ -64,14 +73,22 @@ def furthest_parts(robot: Robot, held: Held, found: Furthest) -> list[Part]:
             hand = hand_part(robot.hands[h], poses.pos[h], poses.quat_wxyz[h], poses.joints[h])
             parts.append(hand._replace(colour=MARKED_COLOUR, label=MARKED))
     if found.after is not None:
-        turned = np.any(np.nan_to_num(found.after.arms) != np.nan_to_num(at.arms), axis=1)
-        there = robot_parts(robot, found.after.arms, found.after.joints)
-        parts += [
-            part._replace(colour=MARKED_COLOUR, label=MARKED)
-            for part in there
-            if turned[0 if part.label.startswith("left") else 1]
-        ]
+        parts += _moved_parts(robot, at, found.after)
     return parts
+
+
+def _moved_parts(robot: Robot, before: Moment, after: Moment) -> list[Part]:
+    """Draw in red the bodies that are elsewhere at another moment, where they are then."""
+    parts: list[Part] = []
+    for h in range(2):
+        first, then = (body_places(robot, h, m.arms[h], m.joints[h]) for m in (before, after))
+        for body in drawn_bodies(robot, h):
+            k = body.number
+            if np.abs(then.rot[k] - first.rot[k]).max() > _SAME or (
+                np.abs(then.pos[k] - first.pos[k]).max() > _SAME
+            ):
+                parts += [moved(part, then.rot[k], then.pos[k]) for part in body.parts]
+    return [joined(parts, MARKED_COLOUR, MARKED)] if parts else []
 
 
 def draw_motion(
