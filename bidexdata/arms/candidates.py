@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from bidexdata.arms.clearance import FAR, Placed, Surroundings, clear_at
-from bidexdata.arms.config import ArmConfig
+from bidexdata.arms.config import ArmConfig, just_above
 from bidexdata.arms.inverse_kinematics import (
     IkSolutions,
     even_spread,
@@ -147,7 +147,7 @@ def find_candidates(
     found = _postures(arm, way.poses.pos[:, g], way.poses.rot[:, g], config, device)
     new = found.ok & _distinct(found.q, found.ok)
     at_grasp = np.broadcast_to(np.arange(len(new))[:, None] * waypoints + g, new.shape)
-    gap, kind = _least(arm, found.q, at_grasp, new, around)
+    gap, kind = _least(arm, found.q, at_grasp, new, around, config)
     clear = new & (gap >= config.clearance.margin)
     away = np.abs(found.q - arm.chain.rest).max(axis=-1)
     order, gate = _best_first(new, clear, gap, away, config)
@@ -262,7 +262,7 @@ def _follow(
     looked = np.unique(np.append(np.arange(0, pos.shape[1], _LOOK_EVERY), [g, pos.shape[1] - 1]))
     mask = np.broadcast_to(alive[:, :, None], (*alive.shape, len(looked)))
     at = np.broadcast_to(rows[:, None, None] * pos.shape[1] + looked, mask.shape)
-    gap, kind = _least(arm, whole[:, :, looked], at, mask, around)
+    gap, kind = _least(arm, whole[:, :, looked], at, mask, around, config)
     worst = gap.argmin(axis=2)[:, :, None]
     least = np.take_along_axis(gap, worst, axis=2)[:, :, 0]
     part.status[alive] = np.take_along_axis(kind, worst, axis=2)[:, :, 0][alive]
@@ -301,11 +301,18 @@ def _name_misses(
 
 
 def _least(
-    arm: Arm, q: np.ndarray, rows: np.ndarray, asked: np.ndarray, around: Surroundings
+    arm: Arm,
+    q: np.ndarray,
+    rows: np.ndarray,
+    asked: np.ndarray,
+    around: Surroundings,
+    config: ArmConfig,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Least clearance of the configurations that are asked about, and the status of what is nearest."""
+    rule = config.clearance
+    most = just_above(max(rule.enough, rule.margin))
     gap, kind = np.full(asked.shape, FAR), np.full(asked.shape, int(Status.OK))
-    found = clear_at(arm, q[asked], rows[asked], around, with_hand=False)
+    found = clear_at(arm, q[asked], rows[asked], around, with_hand=False, most=most)
     gap[asked], kind[asked] = found.min(axis=0), np.array(_KINDS)[found.argmin(axis=0)]
     return gap, kind
 

@@ -96,6 +96,7 @@ def clear_at(
     side: int = 0,
     *,
     with_hand: bool = True,
+    most: float = FAR,
 ) -> Float[np.ndarray, "3 M"]:
     """Clearance of one arm from table, object and itself with the fixtures [m].
 
@@ -106,6 +107,7 @@ def clear_at(
         around: What is there.
         side: Whose hand the arm carries.
         with_hand: The hand counts.
+        most: Larger clearances are given as this, which takes less time [m].
     """
     import warp as wp
 
@@ -120,9 +122,10 @@ def clear_at(
     wp.launch(
         clear_alone,
         dim=len(q),
-        inputs=[placed.spheres, hand, around.field, around.object, placed.centre, placed.rows, out],
+        inputs=[placed.spheres, hand, around.field, around.object, placed.centre, placed.rows,
+                most, out],
         device=device,
-    )
+    )  # fmt: skip
     return out.numpy().astype(np.float64)
 
 
@@ -135,6 +138,7 @@ def apart_at(
     pairs: Int[np.ndarray, "M 2"] | None = None,
     *,
     with_hands: bool = True,
+    most: float = FAR,
 ) -> Float[np.ndarray, " M"]:
     """Clearance between two arms [m].
 
@@ -146,6 +150,7 @@ def apart_at(
         around: What is there.
         pairs: Which are taken together; each with its like when omitted.
         with_hands: The hands count.
+        most: Larger clearances are given as this, which takes less time [m].
     """
     import warp as wp
 
@@ -167,7 +172,7 @@ def apart_at(
         clear_of_each_other,
         dim=len(pairs),
         inputs=[one.spheres, other.spheres, *hands, one.centre, other.centre, one.rows, other.rows,
-                chosen, out],
+                chosen, most, out],
         device=device,
     )  # fmt: skip
     return out.numpy().astype(np.float64)
@@ -389,7 +394,8 @@ def _object_on_device(placed: Placed | None, rows: int, device: str) -> tuple[An
     around.present = 0 if placed is None else 1
     if placed is None:
         placed = Placed(_NO_FIELD, np.ones(rows), np.zeros((rows, 3)), np.zeros((rows, 3, 3)))
-    around.reach = _reach(placed.field)
+    low, high = _box(placed.field)
+    around.low, around.high = wp.vec3(*map(float, low)), wp.vec3(*map(float, high))
     around.size = wp.array(
         np.ascontiguousarray(placed.size, np.float32), dtype=float, device=device
     )
@@ -407,14 +413,14 @@ def _vectors(values: np.ndarray, device: str, count: int) -> Any:
 
 
 @lru_cache(maxsize=16)
-def _reach(field: SignedDistanceGrid) -> float:
-    """Distance from the origin that no point of the solid is beyond, at unit diagonal."""
+def _box(field: SignedDistanceGrid) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of an upright box that no point of the solid is beyond, at unit diagonal."""
     inside = np.argwhere(field.values <= field.cell)
     if not len(inside):
-        return 0.0
-    # A cell's diagonal more: the surface lies between nodes.
-    points = field.origin + field.cell * inside
-    return float(np.linalg.norm(points, axis=1).max() + 2 * field.cell)
+        return np.zeros(3), np.zeros(3)
+    # A cell more: the surface lies between nodes.
+    low, high = inside.min(axis=0) - 1, inside.max(axis=0) + 1
+    return field.origin + field.cell * low, field.origin + field.cell * high
 
 
 @lru_cache(maxsize=16)

@@ -1,8 +1,9 @@
 """Warp kernels of clearance: spheres of arms and hands against all around them and each other.
 
 One thread per configuration. Everything is in the world frame [m]; clearances are negative where
-spheres overlap. Spheres come in groups that lie in a ball each, and a group whose ball is farther away
-than what is nearest so far is passed over, which changes no result.
+spheres overlap, and `most` where everything is at least that far away. Spheres come in groups that lie
+in a ball each, and a group whose ball is farther away than what is nearest so far is passed over, which
+changes no result.
 """
 
 import warp as wp
@@ -59,8 +60,9 @@ class ObjectArrays:
     """The object of each row of configurations."""
 
     present: int
-    reach: float
-    """Of the solid from its origin, at unit diagonal."""
+    low: wp.vec3
+    """Corners of a box round the solid, object frame at unit diagonal."""
+    high: wp.vec3
     size: wp.array(dtype=float)
     pos: wp.array(dtype=wp.vec3)
     rot: wp.array(dtype=wp.mat33)
@@ -138,8 +140,15 @@ def object_gap(field: DistanceField, around: ObjectArrays, n: int, p: wp.vec3, r
 
 @wp.func
 def object_bound(around: ObjectArrays, n: int, p: wp.vec3, r: float) -> float:
-    """What the distance from a sphere to the object of row n is not below."""
-    return wp.length(p - around.pos[n]) - around.reach * around.size[n] - r
+    """What the distance from a sphere to the object of row n is not below: by the box round it."""
+    x = wp.transpose(around.rot[n]) * (p - around.pos[n])
+    size = around.size[n]
+    beyond = wp.vec3()
+    for i in range(3):
+        beyond[i] = wp.max(
+            wp.max(size * around.low[i] - x[i], x[i] - size * around.high[i]), 0.0
+        )
+    return wp.length(beyond) - r
 
 
 @wp.func
@@ -250,15 +259,17 @@ def clear_alone(
     # Configurations in, and the row of hands and objects that each is of:
     centre_in: wp.array2d(dtype=wp.vec3),
     row_in: wp.array(dtype=int),
+    # Larger clearances are given as this:
+    most: float,
     # Clearances out, from table, object and itself:
     gap_out: wp.array2d(dtype=float),
 ):
     """Least clearance of one arm from table, object, and itself with the fixtures."""
     m = wp.tid()
     n = row_in[m]
-    table = float(FAR)
-    near = float(FAR)
-    itself = float(FAR)
+    table = most
+    near = most
+    itself = most
     parts = part_total(spheres, hand)
     for back in range(parts - spheres.first_group):
         g = parts - 1 - back
@@ -295,6 +306,8 @@ def clear_of_each_other(
     right_row_in: wp.array(dtype=int),
     # Which of each arm's are taken together:
     pair_in: wp.array2d(dtype=int),
+    # Larger clearances are given as this:
+    most: float,
     # Clearances out:
     gap_out: wp.array(dtype=float),
 ):
@@ -304,7 +317,7 @@ def clear_of_each_other(
     b = pair_in[m, 1]
     left_parts = part_total(left, left_hand)
     right_parts = part_total(right, right_hand)
-    least = float(FAR)
+    least = most
     for back in range(left_parts):
         g = left_parts - 1 - back
         p, wide = part_ball(left, left_hand, left_in, a, left_row_in[a], g)

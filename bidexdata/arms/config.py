@@ -129,6 +129,11 @@ class SearchConfig:
         refuse_outside(self, "step", 0.01, 1)
 
 
+def just_above(clearance: float) -> float:
+    """A clearance that is surely not below another after rounding: more need not be known [m]."""
+    return clearance + 1e-3
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmConfig:
     """Everything that decides which motion a grasp gets, besides the robot."""

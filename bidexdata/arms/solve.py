@@ -25,7 +25,7 @@ from bidexdata.arms.candidates import (
 )
 from bidexdata.arms.chain import chain_forward
 from bidexdata.arms.clearance import HeldHands, Placed, Surroundings, apart_at, clear_at
-from bidexdata.arms.config import ArmConfig
+from bidexdata.arms.config import ArmConfig, just_above
 from bidexdata.arms.final_word import final_word
 from bidexdata.arms.robot import Robot
 from bidexdata.arms.smoothing import Smoother
@@ -310,16 +310,19 @@ class _Pairing:
         self, rows: np.ndarray, paths: list[np.ndarray], *, with_hands: bool = True
     ) -> np.ndarray:
         """Least clearance between the arms on paths that they go together, (R,) [m]."""
-        gaps = self._gaps_apart(rows, paths, with_hands=with_hands)
+        most = just_above(self._config.clearance.margin)
+        gaps = self._gaps_apart(rows, paths, most, with_hands=with_hands)
         return gaps.min(axis=1, initial=np.inf)
 
     def _gaps_apart(
-        self, rows: np.ndarray, paths: list[np.ndarray], *, with_hands: bool = True
+        self, rows: np.ndarray, paths: list[np.ndarray], most: float, *, with_hands: bool
     ) -> np.ndarray:
         of = np.repeat(rows, paths[0].shape[1])
         left, right = (path.reshape(-1, path.shape[2]) for path in paths)
         gaps = apart_at(
-            self._robot.arms, left, right, (of, of), self._around, with_hands=with_hands
+            *(self._robot.arms, left, right, (of, of), self._around),
+            with_hands=with_hands,
+            most=most,
         )
         return gaps.reshape(paths[0].shape[:2])
 
@@ -364,13 +367,15 @@ class _Pairing:
     def _gaps(
         self, rows: np.ndarray, paths: list[np.ndarray], *, with_hands: bool = True
     ) -> Float[np.ndarray, "R K"]:
-        """Clearance of both arms at every knot, by spheres [m]."""
-        gap = self._gaps_apart(rows, paths, with_hands=with_hands)
+        """Clearance of both arms at every knot, by spheres, as far as it matters [m]."""
+        rule = self._config.clearance
+        most = just_above(max(rule.asked, rule.margin))
+        gap = self._gaps_apart(rows, paths, most, with_hands=with_hands)
         of = np.repeat(rows, gap.shape[1])
         for h, (arm, path) in enumerate(zip(self._robot.arms, paths, strict=True)):
             flat = path.reshape(-1, path.shape[2])
-            alone = clear_at(arm, flat, of, self._around, h, with_hand=with_hands).min(axis=0)
-            gap = np.minimum(gap, alone.reshape(gap.shape))
+            alone = clear_at(arm, flat, of, self._around, h, with_hand=with_hands, most=most)
+            gap = np.minimum(gap, alone.min(axis=0).reshape(gap.shape))
         return gap
 
 

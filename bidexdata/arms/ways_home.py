@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from bidexdata.arms.chain import chain_forward
 from bidexdata.arms.clearance import Surroundings, clear_at
-from bidexdata.arms.config import ArmConfig
+from bidexdata.arms.config import ArmConfig, just_above
 from bidexdata.arms.inverse_kinematics import follow
 from bidexdata.arms.planner import plan_way, resampled, way_length
 from bidexdata.arms.robot import Robot
@@ -162,7 +162,8 @@ class WaysHome:
                 self.corners[one.row, one.candidate] = one.corners
 
     def _gap(self, q: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        found = clear_at(self._arm, q, rows, self._around, self._side)
+        most = just_above(self._config.clearance.margin)
+        found = clear_at(self._arm, q, rows, self._around, self._side, most=most)
         return found.min(axis=0), _KINDS[found.argmin(axis=0)]
 
 
