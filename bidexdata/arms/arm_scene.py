@@ -8,6 +8,7 @@ for arm i with its adapter and the forearm and wrist of its hand; `FIXTURE` for 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -195,6 +196,17 @@ def _spec(
     *,
     table: bool,
 ) -> mujoco.MjSpec:
+    spec = _spec_of_robot(robot, settings, servos, table).copy()
+    if solid is not None:
+        add_object(spec, solid, size, settings.density_of(solid, size))
+    return spec
+
+
+@lru_cache(maxsize=4)
+def _spec_of_robot(
+    robot: Robot, settings: SceneSettings, servos: ServoSettings, table: bool
+) -> mujoco.MjSpec:
+    """What scenes of all objects have in common; takes longer to make than all the rest."""
     import mujoco
 
     spec = robot_spec(robot, table=table)
@@ -213,8 +225,6 @@ def _spec(
     for number in range(len(robot.rig.spec.fixtures)):
         fixture = spec.geom(fixture_name(number))
         fixture.contype, fixture.conaffinity = 0, _FIXTURES_BIT
-    if solid is not None:
-        add_object(spec, solid, size, settings.density_of(solid, size))
     return spec
 
 

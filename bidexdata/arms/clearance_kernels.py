@@ -140,15 +140,10 @@ def object_gap(field: DistanceField, around: ObjectArrays, n: int, p: wp.vec3, r
 
 @wp.func
 def object_bound(around: ObjectArrays, n: int, p: wp.vec3, r: float) -> float:
-    """What the distance from a sphere to the object of row n is not below: by the box round it."""
+    """What the distance from a sphere to the object of row n is not below: that to the box round it."""
     x = wp.transpose(around.rot[n]) * (p - around.pos[n])
-    size = around.size[n]
-    beyond = wp.vec3()
-    for i in range(3):
-        beyond[i] = wp.max(
-            wp.max(size * around.low[i] - x[i], x[i] - size * around.high[i]), 0.0
-        )
-    return wp.length(beyond) - r
+    half = 0.5 * around.size[n] * (around.high - around.low)
+    return box_distance(half, x - around.size[n] * around.low - half) - r
 
 
 @wp.func

@@ -6,7 +6,7 @@ the hands with the table or each other that are no deeper than synthesis lets th
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from bidexdata.arms.arm_scene import ARM, FIXTURE, ArmScene, place_joints
 from bidexdata.engine_log import engine_warnings_logged
 from bidexdata.simulation.scene import NOBODY
+
+if TYPE_CHECKING:
+    import mujoco
 
 REACH = 0.05
 """Distances beyond this read as this [m]."""
@@ -119,24 +122,69 @@ def arm_distances(
     if not hands_touch:
         near |= owner == arms.scene.object_owner
     bodies = np.setdiff1d(model.geom_bodyid[near], [0])
+    masks = Masks(*(getattr(model, name).copy() for name in Masks._fields))
     model.geom_gap[near] = reach
     model.body_margin[bodies] = reach  # what the broad phase reads
     try:
+        _set_masks(model, masks_of_kinds(arms, kinds))
         with engine_warnings_logged():
             for k in range(len(postures)):
                 place_joints(arms, postures[k], fingers[k])
                 if up is not None:
                     data.qpos[height] = low + up[k]
                 mujoco.mj_kinematics(model, data)
-                mujoco.mj_comPos(model, data)
                 mujoco.mj_collision(model, data)
                 found[k] = least_distances(arms, kinds, reach)
     finally:
+        _set_masks(model, masks)
         model.geom_gap[near] = 0.0
         model.body_margin[bodies] = 0.0
         if up is not None:
             data.qpos[height] = low
     return ArmDepths(*(column.reshape(lead) for column in found.T))
+
+
+class Masks(NamedTuple):
+    """Bits that say which geoms, and bodies of geoms, MuJoCo looks at; as in its model."""
+
+    geom_contype: NDArray[np.int32]
+    geom_conaffinity: NDArray[np.int32]
+    body_contype: NDArray[np.int32]
+    body_conaffinity: NDArray[np.int32]
+
+
+def masks_of_kinds(arms: ArmScene, kinds: PairKinds) -> Masks | None:
+    """Bits that leave out pairs which do not count: fingers of one hand above all.
+
+    Returns:
+        None where bits cannot say both that and what the model's own say.
+    """
+    model = arms.scene.model
+    meets = (model.geom_contype | model.geom_conaffinity) != 0
+    owner = arms.scene.geom_owner + kinds.shift
+    counts = kinds.kind != _NONE
+    with_others = (counts * (1 << np.arange(len(counts)))).sum(axis=1)
+    contype = np.where(meets, 1 << owner, 0).astype(np.int32)
+    conaffinity = np.where(meets, with_others[owner], 0).astype(np.int32)
+    wanted = counts[owner[:, None], owner] & _meet(model.geom_contype, model.geom_conaffinity)
+    if (wanted != _meet(contype, conaffinity)).any():
+        return None
+    of_bodies = [np.zeros(model.nbody, np.int32) for _ in range(2)]
+    for bits, values in zip(of_bodies, (contype, conaffinity), strict=True):
+        np.bitwise_or.at(bits, model.geom_bodyid, values)
+    return Masks(contype, conaffinity, *of_bodies)
+
+
+def _meet(contype: np.ndarray, conaffinity: np.ndarray) -> np.ndarray:
+    """Which pairs of geoms MuJoCo looks at by their bits, (G, G)."""
+    one_way = (contype[:, None] & conaffinity) != 0
+    return one_way | one_way.T
+
+
+def _set_masks(model: mujoco.MjModel, masks: Masks | None) -> None:
+    if masks is not None:
+        for name, bits in zip(masks._fields, masks, strict=True):
+            getattr(model, name)[:] = bits
 
 
 def least_distances(

@@ -119,22 +119,13 @@ def _edges_free(
 
 
 def _shortest(length: np.ndarray) -> list[int] | None:
-    """Dijkstra's way from node 0 to node 1; ties go to the lower number."""
-    total = np.full(len(length), np.inf)
-    before = np.full(len(length), -1)
-    done = np.zeros(len(length), bool)
-    total[0] = 0.0
-    while True:
-        left = np.where(done, np.inf, total)
-        node = int(left.argmin())
-        if not np.isfinite(left[node]):
-            return None
-        if node == 1:
-            break
-        done[node] = True
-        through = total[node] + length[node]
-        shorter = ~done & (through < total)
-        total[shorter], before[shorter] = through[shorter], node
+    """Dijkstra's way from node 0 to node 1."""
+    from scipy.sparse.csgraph import csgraph_from_dense, dijkstra
+
+    graph = csgraph_from_dense(length, null_value=np.inf)
+    total, before = dijkstra(graph, indices=0, return_predecessors=True)
+    if not np.isfinite(total[1]):
+        return None
     way = [1]
     while way[-1] != 0:
         way.append(int(before[way[-1]]))

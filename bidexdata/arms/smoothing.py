@@ -16,8 +16,8 @@ from jaxtyping import Bool, Float
 NEAR = 1e-5
 """Weight of the squared way from the given path against that of third differences [-]: slow bends
 over more than thirty knots are left as they are, and every problem is well posed."""
-_TOLERANCE = 1e-6
-_RHO = 1e-4
+_TOLERANCE = 4e-6
+_RHO = 3e-4
 """OSQP's step size; fixed, so that an answer does not depend on the path before."""
 _ROOM = 1e-9
 
@@ -31,13 +31,11 @@ class Smoothed(NamedTuple):
 
 
 class Smoother:
-    """Smooths paths of W knots of A joints; OSQP is set up once, when it is first needed."""
+    """Smooths paths of W knots of A joints; what depends on the pins alone is worked out once."""
 
     def __init__(self, knots: int, joints: int) -> None:
         self._shape = (knots, joints)
-        third = np.diff(np.eye(knots), 3, axis=0)
-        self._hessian = third.T @ third + NEAR * np.eye(knots)
-        self._solver: Any = None
+        self._problems: dict[bytes, _Problem] = {}
 
     def smooth(
         self,
@@ -60,42 +58,70 @@ class Smoother:
             The paths with the least sum of squared third differences; pinned knots are bit-equal.
         """
         assert path.shape[-2:] == self._shape
-        smooth, free = path.copy(), ~pinned
-        across = self._hessian[np.ix_(free, pinned)]
-        known = NEAR * path[..., free, :] - across @ path[..., pinned, :]
-        smooth[..., free, :] = np.linalg.solve(self._hessian[np.ix_(free, free)], known)
+        key = pinned.tobytes()
+        problem = self._problems.get(key)
+        if problem is None:
+            problem = self._problems[key] = _Problem(pinned)
+        smooth = problem.unbounded(path)
         inside = (smooth >= lower - _ROOM) & (smooth <= upper + _ROOM)
         steps = np.abs(np.diff(smooth, axis=-2)).max(axis=-2, initial=0.0)
         bad = ~inside.all(axis=-2) | (steps > largest_step + _ROOM)
-        smooth = np.where(free[:, None], np.clip(smooth, lower, upper), path)
+        smooth = np.where(pinned[:, None], path, np.clip(smooth, lower, upper))
         solved = np.ones(path.shape[:-2], bool)
         # Every joint is a problem of its own.
         for *row, joint in np.argwhere(bad).tolist():
             column = (*row, slice(None), joint)
             limits = (lower[joint], upper[joint], largest_step)
-            smooth[column], good = self._bounded(path[column], pinned, *limits)
-            solved[tuple(row)] &= good
+            found = problem.bounded(path[column], *limits)
+            solved[tuple(row)] &= found is not None
+            if found is not None:
+                smooth[column] = found
         return Smoothed(np.where(solved[..., None, None], smooth, path), solved)
 
-    def _bounded(
-        self,
-        path: np.ndarray,
-        pinned: np.ndarray,
-        lower: float,
-        upper: float,
-        largest_step: float,
-    ) -> tuple[np.ndarray, bool]:
-        """The same for one joint where a bound is met, by OSQP."""
-        self._solver = self._solver or _set_up(self._hessian)
-        turn = np.full(len(path) - 1, largest_step)
-        bottom = np.concatenate([np.where(pinned, path, lower), -turn])
-        top = np.concatenate([np.where(pinned, path, upper), turn])
-        self._solver.update(l=bottom, u=top, q=-NEAR * path)
-        self._solver.warm_start(x=path, y=np.zeros(len(bottom)))
+
+class _Problem:
+    """The least third difference between some pinned knots, of one joint."""
+
+    def __init__(self, pinned: np.ndarray) -> None:
+        knots = len(pinned)
+        third = np.diff(np.eye(knots), 3, axis=0)
+        hessian = third.T @ third + NEAR * np.eye(knots)
+        self._free, self._pinned = np.flatnonzero(~pinned), np.flatnonzero(pinned)
+        self._hessian = hessian[np.ix_(self._free, self._free)]
+        self._across = hessian[np.ix_(self._free, self._pinned)]
+        right = np.concatenate([NEAR * np.eye(len(self._free)), -self._across], axis=1)
+        self._answer = np.linalg.solve(self._hessian, right)
+        self._steps = np.diff(np.eye(knots), axis=0)
+        self._solver: Any = None
+
+    def unbounded(self, path: np.ndarray) -> np.ndarray:
+        """Solutions without bounds, (*r, W, A)."""
+        smooth = path.copy()
+        order = np.concatenate([self._free, self._pinned])
+        smooth[..., self._free, :] = self._answer @ path[..., order, :]
+        return smooth
+
+    def bounded(
+        self, path: np.ndarray, lower: float, upper: float, largest_step: float
+    ) -> np.ndarray | None:
+        """The solution for one joint where a bound is met, by OSQP; none where there is none."""
+        known = self._steps[:, self._pinned] @ path[self._pinned]
+        touched = np.any(self._steps[:, self._free] != 0, axis=1)
+        if np.any(np.abs(known[~touched]) > largest_step):
+            return None
+        self._solver = self._solver or _set_up(self._hessian, self._steps[touched][:, self._free])
+        count, known = len(self._free), known[touched]
+        bottom = np.concatenate([np.full(count, lower), -largest_step - known])
+        top = np.concatenate([np.full(count, upper), largest_step - known])
+        slope = self._across @ path[self._pinned] - NEAR * path[self._free]
+        self._solver.update(l=bottom, u=top, q=slope)
+        self._solver.warm_start(x=path[self._free], y=np.zeros(len(bottom)))
         found = self._solver.solve(raise_error=False)
         if found.info.status != "solved":
-            return path, False
-        return np.where(pinned, path, np.clip(np.asarray(found.x, np.float64), lower, upper)), True
+            return None
+        smooth = path.copy()
+        smooth[self._free] = np.clip(np.asarray(found.x, np.float64), lower, upper)
+        return smooth
 
 
 def roughness(path: Float[np.ndarray, "W A"]) -> float:
@@ -103,19 +129,17 @@ def roughness(path: Float[np.ndarray, "W A"]) -> float:
     return float(np.sum(np.diff(path, 3, axis=0) ** 2))
 
 
-def _set_up(hessian: np.ndarray) -> Any:
+def _set_up(hessian: np.ndarray, steps: np.ndarray) -> Any:
     import osqp
     from scipy import sparse
 
-    knots = len(hessian)
-    steps = sparse.csc_matrix(np.diff(np.eye(knots), axis=0))
-    A = sparse.vstack([sparse.eye(knots), steps], format="csc")
-    free = np.full(2 * knots - 1, np.inf)
+    A = sparse.csc_matrix(np.concatenate([np.eye(len(hessian)), steps]))
+    free = np.full(A.shape[0], np.inf)
     solver = osqp.OSQP()
     solver.setup(
         sparse.triu(sparse.csc_matrix(hessian), format="csc"),
-        *(np.zeros(knots), A, -free, free),
-        verbose=False, polishing=True, eps_abs=_TOLERANCE, eps_rel=_TOLERANCE, max_iter=4000,
+        *(np.zeros(len(hessian)), A, -free, free),
+        verbose=False, polishing=False, eps_abs=_TOLERANCE, eps_rel=_TOLERANCE, max_iter=2000,
         rho=_RHO, adaptive_rho=False,
     )  # fmt: skip
     return solver
