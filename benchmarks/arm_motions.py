@@ -37,7 +37,7 @@ STEPS = {
     "clearance of candidates": [(candidates, "clear_at")],
     "candidates": [(solve, "find_candidates")],
     "clearance of ways home": [(ways_home, "clear_at")],
-    "planner": [(ways_home, "plan_way")],
+    "planner": [(ways_home, "together")],
     "ways home": [(ways_home.WaysHome, "find"), (ways_home.WaysHome, "__init__")],
     "clearance of pairs": [(solve, "apart_at"), (solve, "clear_at")],
     "smoothing": [(solve.Smoother, "smooth")],

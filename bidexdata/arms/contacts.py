@@ -6,6 +6,7 @@ the hands with the table or each other that are no deeper than synthesis lets th
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -126,7 +127,7 @@ def arm_distances(
     model.geom_gap[near] = reach
     model.body_margin[bodies] = reach  # what the broad phase reads
     try:
-        _set_masks(model, masks_of_kinds(arms, kinds))
+        _set_masks(model, _masks(arms, hands_touch=hands_touch))
         with engine_warnings_logged():
             for k in range(len(postures)):
                 place_joints(arms, postures[k], fingers[k])
@@ -173,6 +174,11 @@ def masks_of_kinds(arms: ArmScene, kinds: PairKinds) -> Masks | None:
     for bits, values in zip(of_bodies, (contype, conaffinity), strict=True):
         np.bitwise_or.at(bits, model.geom_bodyid, values)
     return Masks(contype, conaffinity, *of_bodies)
+
+
+@lru_cache(maxsize=4)
+def _masks(arms: ArmScene, *, hands_touch: bool) -> Masks | None:
+    return masks_of_kinds(arms, pair_kinds(arms, hands_touch=hands_touch))
 
 
 def _meet(contype: np.ndarray, conaffinity: np.ndarray) -> np.ndarray:

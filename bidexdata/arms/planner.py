@@ -8,7 +8,7 @@ Source: lazy probabilistic road maps (Bohlin and Kavraki, "Path planning using l
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -19,6 +19,11 @@ from bidexdata.arms.inverse_kinematics import even_spread
 
 Checker = Callable[[np.ndarray], np.ndarray]
 """Tells of postures (M, A) [rad] which are free, (M,) bool."""
+
+
+Plan = Generator[np.ndarray, np.ndarray, "np.ndarray | None"]
+"""A plan in the making: it asks about postures (M, A), is sent which are free, (M,) bool, and returns
+the corners of its way, (P, A); None where none was found."""
 
 
 def plan_way(
@@ -42,8 +47,48 @@ def plan_way(
     Returns:
         The corners, ends included; None where no way was found.
     """
+    plan = planning(start, goal, lower, upper, config)
+    return together([plan], lambda postures, _of: free(postures))[0]
+
+
+def together(
+    plans: Sequence[Plan], free: Callable[[np.ndarray, np.ndarray], np.ndarray]
+) -> list[np.ndarray | None]:
+    """Work on plans at the same time: what they ask about goes to one call of the checker.
+
+    Args:
+        plans: The plans; used up.
+        free: Given postures (M, A) and the number of the plan that each is of, says which are free.
+
+    Returns:
+        What each plan found.
+    """
+    found: list[np.ndarray | None] = [None] * len(plans)
+    asked = {}
+    answers: dict[int, np.ndarray | None] = dict.fromkeys(range(len(plans)))
+    while answers:
+        for number, answer in answers.items():
+            try:
+                asked[number] = plans[number].send(answer)
+            except StopIteration as end:
+                found[number] = end.value
+        of = np.repeat(list(asked), [len(postures) for postures in asked.values()])
+        good = free(np.concatenate(list(asked.values())), of) if asked else of
+        answers = {number: good[of == number] for number in asked}
+        asked = {}
+    return found
+
+
+def planning(
+    start: Float[np.ndarray, " A"],
+    goal: Float[np.ndarray, " A"],
+    lower: Float[np.ndarray, " A"],
+    upper: Float[np.ndarray, " A"],
+    config: SearchConfig,
+) -> Plan:
+    """The plan of one way; arguments as of `plan_way`."""
     nodes = _nodes(start, goal, lower, upper, config)
-    kept = free(nodes)
+    kept = yield nodes
     if not kept[:2].all():
         return None
     nodes = nodes[kept]
@@ -55,10 +100,14 @@ def plan_way(
         if way is None:
             return None
         asked = [(a, b) for a, b in pairwise(way) if not known[a, b]]
-        for (a, b), good in zip(asked, _edges_free(nodes, asked, free, config), strict=True):
-            known[a, b] = known[b, a] = good
-            open_[a, b] = open_[b, a] = good
-        if all(known[a, b] for a, b in pairwise(way)):
+        points, owner = _along(nodes, asked, config)
+        good = np.ones(len(asked), bool)
+        if len(points):
+            np.logical_and.at(good, owner, (yield points))
+        for (a, b), passes in zip(asked, good, strict=True):
+            known[a, b] = known[b, a] = passes
+            open_[a, b] = open_[b, a] = passes
+        if good.all():
             return nodes[way]
     return None
 
@@ -100,22 +149,17 @@ def _neighbours(length: np.ndarray, count: int) -> Bool[np.ndarray, "P P"]:
     return near | near.T
 
 
-def _edges_free(
-    nodes: np.ndarray, edges: list[tuple[int, int]], free: Checker, config: SearchConfig
-) -> list[bool]:
-    """Check edges at all of their steps, in one call."""
-    if not edges:
-        return []
-    points, owner = [], []
+def _along(
+    nodes: np.ndarray, edges: list[tuple[int, int]], config: SearchConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """Postures along edges without their ends, (M, A), and the number of the edge of each."""
+    points, owner = [np.zeros((0, nodes.shape[1]))], []
     for number, (a, b) in enumerate(edges):
         steps = int(np.ceil(np.abs(nodes[b] - nodes[a]).max() / config.step))
         share = np.arange(1, max(steps, 1))[:, None] / max(steps, 1)
         points.append(nodes[a] + share * (nodes[b] - nodes[a]))
         owner += [number] * len(share)
-    good = np.ones(len(edges), bool)
-    if owner:
-        np.logical_and.at(good, owner, free(np.concatenate(points)))
-    return good.tolist()
+    return np.concatenate(points), np.array(owner, np.intp)
 
 
 def _shortest(length: np.ndarray) -> list[int] | None:

@@ -15,7 +15,7 @@ from bidexdata.arms.chain import chain_forward
 from bidexdata.arms.clearance import Surroundings, clear_at
 from bidexdata.arms.config import ArmConfig, just_above
 from bidexdata.arms.inverse_kinematics import follow
-from bidexdata.arms.planner import plan_way, resampled, way_length
+from bidexdata.arms.planner import planning, resampled, together, way_length
 from bidexdata.arms.robot import Robot
 from bidexdata.record.status import Status
 
@@ -121,21 +121,19 @@ class WaysHome:
         self._look(tried)
 
     def _plan(self, rows: np.ndarray) -> None:
-        chain, tried = self._arm.chain, []
-        for n in (int(row) for row in rows):
-            usable = np.flatnonzero(self._usable[n] & ~self.ok[n])[: self._config.search.plans]
-            for c in (int(number) for number in usable):
+        chain, search = self._arm.chain, self._config.search
+        usable = [np.flatnonzero(self._usable[n] & ~self.ok[n])[: search.plans] for n in rows]
+        at = [(int(n), int(c)) for n, some in zip(rows, usable, strict=True) for c in some]
+        row = np.array([n for n, _ in at], np.intp)
+        plans = [
+            planning(chain.rest, self._goals[n, c], chain.lower, chain.upper, search) for n, c in at
+        ]
 
-                def free(q: np.ndarray, n: int = n) -> np.ndarray:
-                    return self._gap(q, np.full(len(q), n))[0] >= self._config.clearance.margin
+        def free(q: np.ndarray, of: np.ndarray) -> np.ndarray:
+            return self._gap(q, row[of])[0] >= self._config.clearance.margin
 
-                way = plan_way(
-                    *(chain.rest, self._goals[n, c], chain.lower, chain.upper),
-                    *(free, self._config.search),
-                )
-                if way is not None:
-                    tried.append(self._tried(n, c, way))
-        self._look(tried)
+        ways = zip(at, together(plans, free), strict=True)
+        self._look([self._tried(n, c, way) for (n, c), way in ways if way is not None])
 
     def _tried(self, row: int, candidate: int, corners: np.ndarray) -> _Tried:
         return _Tried(row, candidate, corners, resampled(corners, self._config.path.knots[0]))
