@@ -92,7 +92,7 @@ def planning(
     if not kept[:2].all():
         return None
     nodes = nodes[kept]
-    length = np.abs(nodes[:, None] - nodes[None]).max(axis=-1)
+    length = _apart(nodes)
     open_ = _neighbours(length, config.neighbours)
     known = np.eye(len(nodes), dtype=bool)
     for _ in range(config.replans):
@@ -162,15 +162,26 @@ def _along(
     return np.concatenate(points), np.array(owner, np.intp)
 
 
-def _shortest(length: np.ndarray) -> list[int] | None:
-    """Dijkstra's way from node 0 to node 1."""
-    from scipy.sparse.csgraph import csgraph_from_dense, dijkstra
+def _apart(nodes: np.ndarray) -> np.ndarray:
+    """Largest turn of a joint between each two postures, (P, P) [rad]."""
+    length = np.zeros((len(nodes), len(nodes)))
+    for angle in nodes.T:  # joint by joint, which is sooner than all at once
+        np.maximum(length, np.abs(angle[:, None] - angle), out=length)
+    return length
 
-    graph = csgraph_from_dense(length, null_value=np.inf)
-    total, before = dijkstra(graph, indices=0, return_predecessors=True)
+
+def _shortest(length: np.ndarray) -> list[int] | None:
+    """The shortest way from node 0 to node 1 (Bellman and Ford); ties go to the lower number."""
+    total = np.full(len(length), np.inf)
+    total[0] = 0.0
+    while True:
+        shorter = np.minimum(total, (total[:, None] + length).min(axis=0))
+        if (shorter == total).all():
+            break
+        total = shorter
     if not np.isfinite(total[1]):
         return None
     way = [1]
     while way[-1] != 0:
-        way.append(int(before[way[-1]]))
+        way.append(int((total + length[:, way[-1]]).argmin()))
     return way[::-1]
