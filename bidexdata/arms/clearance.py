@@ -181,6 +181,7 @@ def apart_at(
 def room_of_ways(
     around: Surroundings,
     side: int,
+    rows: Int[np.ndarray, " N"],
     pos: Float[np.ndarray, "N 3"],
     rot: Float[np.ndarray, "N 3 3"],
     ways: Float[np.ndarray, "N D 3"],
@@ -191,6 +192,7 @@ def room_of_ways(
     Args:
         around: The object and the hands.
         side: Which hands.
+        rows: The grasp that each way is of.
         pos: Where they are [m].
         rot: How they are turned.
         ways: Where they go from there [m].
@@ -201,6 +203,9 @@ def room_of_ways(
     from bidexdata.arms.clearance_kernels import room_of_hands
 
     device, shape = around.device, ways.shape[:2]
+    if not len(rows):
+        return np.zeros(shape), np.zeros(shape)
+    of = wp.array(np.ascontiguousarray(rows, np.int32), dtype=int, device=device)
     room, start = (wp.empty(shape, dtype=float, device=device) for _ in range(2))
     turns = np.ascontiguousarray(rot, np.float32)
     lines = np.ascontiguousarray(ways, np.float32)
@@ -208,7 +213,7 @@ def room_of_ways(
         room_of_hands,
         dim=shape,
         inputs=[
-            *(around.hands[side], around.field, around.object, _vectors(pos, device, len(pos))),
+            *(around.hands[side], around.field, around.object, of, _vectors(pos, device, len(pos))),
             wp.array(turns, dtype=wp.mat33, shape=(len(pos),), device=device),
             wp.array(lines, dtype=wp.vec3, shape=shape, device=device),
             *(checks, room, start),

@@ -339,7 +339,8 @@ def room_of_hands(
     hand: HandArrays,
     field: DistanceField,
     around: ObjectArrays,
-    # Poses in, and ways on from them:
+    # Rows of the ways, poses in, and ways on from them:
+    row_in: wp.array(dtype=int),
     pos_in: wp.array(dtype=wp.vec3),
     rot_in: wp.array(dtype=wp.mat33),
     way_in: wp.array2d(dtype=wp.vec3),
@@ -349,21 +350,22 @@ def room_of_hands(
     start_out: wp.array2d(dtype=float),
 ):
     """Least clearance of an open hand that moves on without turning, in equal steps."""
-    n, d = wp.tid()
+    w, d = wp.tid()
+    n = row_in[w]
     room = float(FAR)
     start = float(FAR)
     for step in range(checks + 1):
-        at = pos_in[n] + (float(step) / float(checks)) * way_in[n, d]
-        ball = at + rot_in[n] * hand.ball_pos[n]
+        at = pos_in[w] + (float(step) / float(checks)) * way_in[w, d]
+        ball = at + rot_in[w] * hand.ball_pos[n]
         if step == 0 or object_bound(around, n, ball, hand.ball_radius[n]) < room:
             least = float(FAR)
             for i in range(hand.radius.shape[0]):
-                p = at + rot_in[n] * hand.pos[n, i]
+                p = at + rot_in[w] * hand.pos[n, i]
                 if object_bound(around, n, p, hand.radius[i]) < least:
                     least = wp.min(least, object_gap(field, around, n, p, hand.radius[i]))
             if step == 0:
                 start = least
             else:
                 room = wp.min(room, least)
-    room_out[n, d] = room
-    start_out[n, d] = start
+    room_out[w, d] = room
+    start_out[w, d] = start

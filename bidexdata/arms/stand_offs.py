@@ -53,8 +53,18 @@ def stand_offs(
     away = rule.standoff * np.concatenate([_BACK @ np.swapaxes(palm, -1, -2), up], axis=1)
     every = Poses(pregrasp.pos[:, None], pregrasp.quat_wxyz[:, None])
     back = stand_off(every, away, np.broadcast_to(below, away.shape[:2]), rule.lowest).pos
-    room, start = room_of_ways(around, side, pregrasp.pos, pregrasp.rot, back - every.pos, _CHECKS)
-    # An overlap of the pre-grasp is the grasp's own.
-    room = np.minimum(room - np.minimum(start, 0.0), 0.0)
-    best = np.where(room[:, 0] < _ENOUGH, room.argmax(axis=1), 0)
-    return Poses(back[np.arange(len(best)), best], pregrasp.quat_wxyz)
+    lines, rows = back - every.pos, np.arange(len(back))
+
+    def room_of(some: np.ndarray, ways: slice) -> np.ndarray:
+        room, start = room_of_ways(
+            around, side, some, pregrasp.pos[some], pregrasp.rot[some], lines[some, ways], _CHECKS
+        )
+        # An overlap of the pre-grasp is the grasp's own.
+        return np.minimum(room - np.minimum(start, 0.0), 0.0)
+
+    best = np.zeros(len(back), np.intp)
+    first = room_of(rows, slice(0, 1))
+    short = np.flatnonzero(first[:, 0] < _ENOUGH)
+    others = room_of(short, slice(1, None))
+    best[short] = np.concatenate([first[short], others], axis=1).argmax(axis=1)
+    return Poses(back[rows, best], pregrasp.quat_wxyz)

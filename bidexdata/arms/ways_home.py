@@ -21,6 +21,8 @@ from bidexdata.record.status import Status
 
 _KINDS = np.array([Status.COLLISION_TABLE, Status.COLLISION_OBJECT, Status.COLLISION_SELF])
 _VIA_STEPS = 4
+_FEW = 5
+"""Every so manieth knot is looked at before the others [-]."""
 STRAIGHT, OTHERS, OVER, PLANNED = range(4)
 """Efforts, one after the other: the best candidate straight, the others, over a pose beside, planned."""
 
@@ -86,15 +88,14 @@ class WaysHome:
             self._plan(rows)
 
     def _straight(self, rows: np.ndarray, candidates: np.ndarray) -> None:
-        at = [(int(n), int(c)) for n, c in np.broadcast(rows, candidates)]
-        rest = self._arm.chain.rest
-        self._look(
-            [
-                self._tried(n, c, np.stack([rest, self._goals[n, c]]))
-                for n, c in at
-                if self._usable[n, c]
-            ]
-        )
+        n, c = (x.ravel() for x in np.broadcast_arrays(rows, candidates))
+        usable = self._usable[n, c]
+        n, c = n[usable], c[usable]
+        rest, goals = self._arm.chain.rest, self._goals[n, c]
+        share = np.linspace(0.0, 1.0, self._config.path.knots[0] + 1)[:, None]
+        paths = (1.0 - share) * rest + share * goals[:, None]
+        corners = np.stack([np.broadcast_to(rest, goals.shape), goals], axis=1)
+        self._look([_Tried(*one) for one in zip(n.tolist(), c.tolist(), corners, paths, strict=True)])
 
     def _over(self, rows: np.ndarray) -> None:
         """Over postures farther back, higher up, and both, on lines from the goals."""
@@ -139,25 +140,40 @@ class WaysHome:
         return _Tried(row, candidate, corners, resampled(corners, self._config.path.knots[0]))
 
     def _look(self, tried: list[_Tried]) -> None:
-        """Check ways at all knots in one call, and keep the first good one of each candidate."""
+        """Check ways, and keep the first good one of each candidate."""
         if not tried:
             return
-        paths = np.stack([one.path for one in tried])
-        rows = np.repeat([one.row for one in tried], paths.shape[1])
-        gap, kind = self._gap(paths.reshape(-1, paths.shape[2]), rows)
-        gap, kind = gap.reshape(paths.shape[:2]), kind.reshape(paths.shape[:2])
-        worst = gap.argmin(axis=1)
         longest = longest_way(self._config)
+        fits = np.array([way_length(one.corners) <= longest for one in tried])
+        gap, kind = np.full(len(tried), -np.inf), np.full(len(tried), int(Status.JUMP))
+        paths = np.stack([one.path for one in tried])
+        rows = np.array([one.row for one in tried])
+        few = np.zeros(paths.shape[1], bool)
+        few[::_FEW], few[-1] = True, True
+        # Most ways that are blocked are so at one knot of a few.
+        for knots in (few, ~few):
+            open_ = np.flatnonzero(fits & ((gap >= self._config.clearance.margin) | (knots is few)))
+            worst, what = self._worst(paths[np.ix_(open_, knots)], rows[open_])
+            gap[open_] = worst if knots is few else np.minimum(gap[open_], worst)
+            kind[open_] = what
         for k, one in enumerate(tried):
-            fits = way_length(one.corners) <= longest
             if self.status[one.row] == Status.OK and not self.ok[one.row].any():
-                self.status[one.row] = kind[k, worst[k]] if fits else Status.JUMP
+                self.status[one.row] = kind[k]
             if self.ok[one.row, one.candidate]:
                 continue
-            if fits and gap[k, worst[k]] >= self._config.clearance.margin:
+            if gap[k] >= self._config.clearance.margin:
                 self.ok[one.row, one.candidate] = True
                 self.path[one.row, one.candidate] = one.path
                 self.corners[one.row, one.candidate] = one.corners
+
+    def _worst(
+        self, paths: Float[np.ndarray, "R K A"], rows: Int[np.ndarray, " R"]
+    ) -> tuple[Float[np.ndarray, " R"], Int[np.ndarray, " R"]]:
+        """Least clearance at knots of ways, and the status of what is there."""
+        count, knots, joints = paths.shape
+        gap, kind = self._gap(paths.reshape(-1, joints), np.repeat(rows, knots))
+        at = np.arange(count), gap.reshape(count, knots).argmin(axis=1)
+        return gap.reshape(count, knots)[at], kind.reshape(count, knots)[at]
 
     def _gap(self, q: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         most = just_above(self._config.clearance.margin)
