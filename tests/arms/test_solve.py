@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import radians
 
 import numpy as np
@@ -11,13 +12,15 @@ from bidexdata.arms import ArmConfig, Targets
 from bidexdata.arms.chain import chain_forward
 from bidexdata.arms.config import PathConfig, SearchConfig
 from bidexdata.arms.generic_pairs import draw_pairs, shape_grid
+from bidexdata.arms.inverse_kinematics import IkConfig
 from bidexdata.arms.solutions import ArmSolutions
 from bidexdata.arms.solve import solve_arms, solve_scenes
-from bidexdata.frames import invert, quat_angle, quat_from_matrix
+from bidexdata.frames import invert, matrix_from_quat, quat_angle, quat_from_matrix
 from bidexdata.record.status import Status
 
 CONFIG = ArmConfig(path=PathConfig(knots=(24, 4, 4, 2, 4)), search=SearchConfig(nodes=32))
 POS, ROT, STEP = 1e-3, radians(0.5), 0.2  # what the issue asks for
+MIRRORED = 5e-3  # joints that are redundant drift in float32
 
 
 def targets(robot, size: float = 0.3, count: int = 8, seed: int = 1) -> list[Targets]:
@@ -49,6 +52,60 @@ def solved(robot, scenes: list[Targets], config: ArmConfig = CONFIG) -> ArmSolut
 def assert_same(a: ArmSolutions, b: ArmSolutions) -> None:
     for name, values in a._asdict().items():
         np.testing.assert_array_equal(values, getattr(b, name), err_msg=name)
+
+
+def test_on_the_rigs_of_the_package_key_frames_are_reached_and_steps_are_small(robot):
+    """At the palm frame, from what the record stores: under 1 mm, half a degree, 0.2 rad."""
+    scenes = targets(robot, count=12, seed=3)
+    parts = solve_scenes(robot, None, None, scenes, CONFIG)
+    good = [(scene, part) for scene, part in zip(scenes, parts, strict=True) if part.ok.all()]
+    assert len(good) >= 4
+    for scene, part in good:
+        columns = part.to_columns()
+        assert np.abs(np.diff(columns["arm_path"], axis=2))[np.isfinite(
+            np.diff(columns["arm_path"], axis=2))].max() <= STEP  # fmt: skip
+        for h, (arm, hand) in enumerate(zip(robot.arms, robot.hands, strict=True)):
+            q = columns["arm_joints"][0, h, 2:5, : arm.chain.joints].astype(float)
+            pos, rot = chain_forward(arm.chain, q)
+            wanted = matrix_from_quat(scene.hand_quat_wxyz[0, h])
+            palm = hand.T_hand_palm
+            off = (pos + rot @ palm[:3, 3]) - (scene.hand_pos[0, h] + wanted @ palm[:3, 3])
+            turn = quat_angle(
+                quat_from_matrix(rot @ palm[:3, :3]), quat_from_matrix(wanted @ palm[:3, :3])
+            )
+            assert np.linalg.norm(off, axis=1).max() < POS
+            assert turn.max() < ROT
+
+
+def test_the_mirror_image_of_a_scene_has_the_mirror_image_of_its_motion(made):
+    """For arms that are mirror images: even joints turn alike, odd ones the other way."""
+    # From the rest postures alone: starts that are spread over the ranges are not mirror images.
+    ik = IkConfig(starts=1, pool=1, iterations=100)
+    search = SearchConfig(near_rest=1, kept=1, detours=1, nodes=0)
+    config = replace(CONFIG, ik=ik, search=search)
+    flip, sign = np.diag([1.0, -1.0, 1.0]), np.array([-1.0, 1, -1, 1, -1, 1, -1])
+    scenes, mirrored = targets(made, count=16, seed=5), []
+    for one in scenes:
+        pos, quat = one.hand_pos.copy(), one.hand_quat_wxyz.copy()
+        for h, (hand, other) in enumerate(zip(made.hands, made.hands[::-1], strict=True)):
+            rot = matrix_from_quat(one.hand_quat_wxyz[0, h])
+            for s in range(3):
+                T = np.eye(4)
+                T[:3, :3], T[:3, 3] = rot[s], one.hand_pos[0, h, s]
+                palm = T @ hand.T_hand_palm
+                palm[:3, :3] = flip @ palm[:3, :3] @ flip
+                palm[:3, 3] = flip @ palm[:3, 3]
+                there = palm @ invert(other.T_hand_palm)
+                pos[0, 1 - h, s], quat[0, 1 - h, s] = there[:3, 3], quat_from_matrix(there[:3, :3])
+        mirrored.append(one._replace(hand_pos=pos, hand_quat_wxyz=quat))
+    pairs = zip(*(solve_scenes(made, None, None, s, config) for s in (scenes, mirrored)), strict=True)
+    compared = 0
+    for first, second in pairs:
+        assert first.arm_status == second.arm_status
+        expected = sign * first.arm_path[:, ::-1]
+        np.testing.assert_allclose(second.arm_path, expected, atol=MIRRORED)
+        compared += int(first.ok[0])
+    assert compared >= 2
 
 
 @pytest.fixture(scope="module")
