@@ -50,8 +50,6 @@ STEPS = {
 OTHER = "the rest"
 
 
-
-
 class Stopwatch:
     """CPU seconds of some functions, each without those of the others that it calls."""
 
@@ -222,9 +220,7 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], help="another setting, KEY=VALUE")
     args = parser.parse_args()
     for rig in args.rig or ("ur10e_post", "iiwa14_facing"):
-        figures = measure(
-            args.run, rig, half=args.half, objects=args.objects, changes=args.set
-        )
+        figures = measure(args.run, rig, half=args.half, objects=args.objects, changes=args.set)
         print(json.dumps(figures, indent=2))
 
 

@@ -81,7 +81,9 @@ def main() -> None:
     parser.add_argument("--hand", default="shadow")
     for axis in "xyz":
         parser.add_argument(f"--{axis}", required=True)
-    parser.add_argument("--yaw", default="0", help="degrees; the left base's, the right one's minus")
+    parser.add_argument(
+        "--yaw", default="0", help="degrees; the left base's, the right one's minus"
+    )
     parser.add_argument("--starts", type=int, default=32)
     parser.add_argument("--run", help="a run on a table with verdicts of test l")
     parser.add_argument("--half", choices=("early", "late", "all"), default="early")
@@ -90,10 +92,7 @@ def main() -> None:
     given = parser.parse_args()
     grid = [[float(v) for v in getattr(given, axis).split(",")] for axis in ("x", "y", "z", "yaw")]
     places = list(itertools.product(*grid))
-    if given.run:
-        lines = _of_run(given, places)
-    else:
-        lines = _of_pairs(given, places)
+    lines = (_of_run if given.run else _of_pairs)(given, places)
     for place, (_share, line) in sorted(zip(places, lines, strict=True), key=lambda f: -f[1][0]):
         print("(" + ", ".join(f"{v:g}" for v in place) + f")  {line}")
 

@@ -95,7 +95,9 @@ class WaysHome:
         share = np.linspace(0.0, 1.0, self._config.path.knots[0] + 1)[:, None]
         paths = (1.0 - share) * rest + share * goals[:, None]
         corners = np.stack([np.broadcast_to(rest, goals.shape), goals], axis=1)
-        self._look([_Tried(*one) for one in zip(n.tolist(), c.tolist(), corners, paths, strict=True)])
+        self._look(
+            [_Tried(*one) for one in zip(n.tolist(), c.tolist(), corners, paths, strict=True)]
+        )
 
     def _over(self, rows: np.ndarray) -> None:
         """Over postures farther back, higher up, and both, on lines from the goals."""

@@ -98,7 +98,9 @@ def test_the_mirror_image_of_a_scene_has_the_mirror_image_of_its_motion(made):
                 there = palm @ invert(other.T_hand_palm)
                 pos[0, 1 - h, s], quat[0, 1 - h, s] = there[:3, 3], quat_from_matrix(there[:3, :3])
         mirrored.append(one._replace(hand_pos=pos, hand_quat_wxyz=quat))
-    pairs = zip(*(solve_scenes(made, None, None, s, config) for s in (scenes, mirrored)), strict=True)
+    pairs = zip(
+        *(solve_scenes(made, None, None, s, config) for s in (scenes, mirrored)), strict=True
+    )
     compared = 0
     for first, second in pairs:
         assert first.arm_status == second.arm_status
