@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from box_solids import box_solid
 
+from bidexdata.arms import contacts
 from bidexdata.arms.arm_scene import (
     ARM,
     FIXTURE,
@@ -16,7 +17,7 @@ from bidexdata.arms.arm_scene import (
     set_arms,
 )
 from bidexdata.arms.chain import chain_forward
-from bidexdata.arms.contacts import REACH, arm_distances
+from bidexdata.arms.contacts import REACH, Masks, arm_distances, masks_of_kinds, pair_kinds
 from bidexdata.frames import matrix_from_quat
 from bidexdata.simulation.scene import build_scene
 
@@ -189,6 +190,24 @@ def test_a_batch_of_postures_is_one_after_the_other(arms, robot, rng):
             assert getattr(many, name).reshape(-1)[k] == getattr(one, name)
     none = arm_distances(arms, q[:0], joints, hands_touch=True)
     assert none.table.shape == (0,)
+
+
+@pytest.mark.parametrize("touch", [False, True])
+def test_pairs_that_do_not_count_are_left_out_and_no_distance_changes(
+    arms, robot, rng, monkeypatch, touch
+):
+    model, (_, joints) = arms.scene.model, at_rest(robot)
+    set_arms(arms, np.array([0.1, 0.0, 0.3]), UPRIGHT, at_rest(robot)[0], joints)
+    q = np.stack([postures(robot, rng) for _ in range(8)])
+    before = [getattr(model, name).copy() for name in Masks._fields]
+    found = arm_distances(arms, q, joints, hands_touch=touch)
+    for name, bits in zip(Masks._fields, before, strict=True):
+        np.testing.assert_array_equal(getattr(model, name), bits)
+    monkeypatch.setattr(contacts, "_masks", lambda arms, *, hands_touch: None)
+    expected = arm_distances(arms, q, joints, hands_touch=touch)
+    for name in found._fields:
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    assert masks_of_kinds(arms, pair_kinds(arms, hands_touch=touch)) is not None
 
 
 def test_one_compiled_scene_measures_all_sizes(robot, rng):

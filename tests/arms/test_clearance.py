@@ -15,6 +15,9 @@ from bidexdata.arms.clearance import (
     FAR,
     HeldHands,
     Placed,
+    Surroundings,
+    apart_at,
+    clear_at,
     clearance_between,
     clearances,
     clearances_reference,
@@ -115,6 +118,19 @@ def test_hands_count_where_they_are_given(robot, rng, shape):
         alone = clearances(arm, q, around)
         assert np.all(found.obj <= alone.obj)
         assert np.all(found.table <= alone.table)
+
+
+def test_clearances_that_need_not_be_known_are_given_as_the_most(made, rng):
+    left, right = (configurations(arm, rng, (30,)) for arm in made.arms)
+    held = tuple(held_hands(hand, rng, 30) for hand in made.hands)
+    around, rows = Surroundings(placed(rng, 30), held, rows=30), np.arange(30)
+    whole = clear_at(made.arms[0], left, rows, around)
+    between = apart_at(made.arms, left, right, (rows, rows), around)
+    for most in (-0.05, 0.0, 0.03, 0.2):
+        near = clear_at(made.arms[0], left, rows, around, most=most)
+        np.testing.assert_allclose(near, np.minimum(whole, most), atol=1e-7)
+        near = apart_at(made.arms, left, right, (rows, rows), around, most=most)
+        np.testing.assert_allclose(near, np.minimum(between, most), atol=1e-7)
 
 
 def test_spheres_of_hands_move_as_the_hand_does(robot, rng):

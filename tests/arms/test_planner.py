@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bidexdata.arms.config import SearchConfig
-from bidexdata.arms.planner import plan_way, resampled, way_length
+from bidexdata.arms.planner import plan_way, planning, resampled, together, way_length
 
 LOW, HIGH = np.full(2, -3.0), np.full(2, 3.0)
 START, GOAL = np.array([-1.5, 0.0]), np.array([1.5, 0.0])
@@ -48,3 +48,17 @@ def test_resampling_keeps_the_ends_and_takes_equal_steps_on_a_line(count):
     path = resampled(np.stack([START, GOAL]), count)
     np.testing.assert_array_equal(path[[0, -1]], [START, GOAL])
     np.testing.assert_allclose(np.diff(path[:, 0]), 3.0 / count, atol=1e-12)
+
+
+def test_plans_that_are_made_together_are_those_made_alone():
+    goals = [GOAL, np.array([1.5, 1.0]), np.array([-0.1, 0.0]), np.array([1.0, -2.0])]
+    plans = [planning(START, goal, LOW, HIGH, CONFIG) for goal in goals]
+    found = together(plans, lambda q, _of: beside_the_wall(q))
+    for goal, way in zip(goals, found, strict=True):
+        alone = plan_way(START, goal, LOW, HIGH, beside_the_wall, CONFIG)
+        assert (way is None) == (alone is None)
+        if way is not None:
+            np.testing.assert_array_equal(way, alone)
+    assert found[0] is not None
+    assert found[2] is None
+    assert together([], lambda q, _of: beside_the_wall(q)) == []
