@@ -335,7 +335,8 @@ def _place(arm: Arm, q: np.ndarray, rows: np.ndarray, hand: Any, device: str) ->
     spheres = _spheres_on_device(arm, device)
     held = hand.radius.shape[0]
     width = len(arm.spheres.radius) + spheres.group_joint.shape[0] + (held + 1 if held else 0)
-    centre = wp.empty((len(q), width), dtype=wp.vec3, device=device)
+    vector: Any = wp.vec3
+    centre = wp.empty((len(q), width), dtype=vector, device=device)
     of = wp.array(np.ascontiguousarray(rows, np.int32), dtype=int, device=device)
     angles = wp.array(np.ascontiguousarray(q, np.float32), dtype=float, device=device)
     wp.launch(

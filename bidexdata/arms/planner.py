@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -21,7 +22,7 @@ Checker = Callable[[np.ndarray], np.ndarray]
 """Tells of postures (M, A) [rad] which are free, (M,) bool."""
 
 
-Plan = Generator[np.ndarray, np.ndarray, "np.ndarray | None"]
+Plan = Generator[np.ndarray, Any, "np.ndarray | None"]
 """A plan in the making: it asks about postures (M, A), is sent which are free, (M,) bool, and returns
 the corners of its way, (P, A); None where none was found."""
 

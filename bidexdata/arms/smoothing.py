@@ -134,7 +134,7 @@ def _set_up(hessian: np.ndarray, steps: np.ndarray) -> Any:
     from scipy import sparse
 
     A = sparse.csc_matrix(np.concatenate([np.eye(len(hessian)), steps]))
-    free = np.full(A.shape[0], np.inf)
+    free = np.full(len(hessian) + len(steps), np.inf)
     solver = osqp.OSQP()
     solver.setup(
         sparse.triu(sparse.csc_matrix(hessian), format="csc"),
