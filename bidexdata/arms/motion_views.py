@@ -30,9 +30,13 @@ from bidexdata.pictures.raycast import RayScene
 from bidexdata.pictures.scene import Part, moved
 from bidexdata.pictures.views import OBJECT, SUBJECTS, choose_views, subject_points
 
+_TELE = float(np.radians(5.0))
+"""Opening angle that fills a picture with an object and its hands from behind the robot [rad]."""
+_LOOKS = 24
+"""Moments of a motion that a camera must see."""
 _SAME = 1e-6
 """Bodies that are nearer to where they were stand still [m, -]."""
-_POINTS = 4000
+_POINTS = 1500
 """As many of a moment's points are enough to place a camera."""
 
 
@@ -114,7 +118,8 @@ def draw_motion(
         height: Pixels.
         device: A Warp device.
     """
-    shown = [motion_parts(robot, held, motion.at(time)) for time in motion.key_time]
+    looks = np.concatenate([motion.key_time, np.linspace(0.0, motion.seconds, _LOOKS)])
+    shown = [motion_parts(robot, held, motion.at(float(time))) for time in looks]
     middle = shown[3]  # the grasp
     scene = RayScene(middle, device)
     direction = _directions(middle, device)[0]
@@ -151,10 +156,10 @@ def draw_furthest(
 
 
 def _directions(parts: list[Part], device: str, count: int = 1) -> list[NDArray[np.float64]]:
-    """Directions that show most of the hands from close by, though arms stand in the way."""
+    """Directions that show most of the hands and no more, from beyond all that may hide them."""
     seen = sorted(parts, key=lambda part: part.label not in (OBJECT, *SUBJECTS))
     close = [part for part in seen if part.label in (OBJECT, *SUBJECTS)]
-    return choose_views(close, RayScene(seen, device), count)
+    return choose_views(close, RayScene(seen, device), count, fov=_TELE)
 
 
 def _few(points: NDArray[np.float64]) -> NDArray[np.float64]:

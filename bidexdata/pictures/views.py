@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.pictures.camera import framed
+from bidexdata.pictures.camera import FIELD_OF_VIEW, framed
 from bidexdata.pictures.raycast import RayScene
 from bidexdata.pictures.scene import GROUND, Part
 
@@ -23,14 +23,17 @@ _TILT = np.radians(20.0)
 _CIRCLE = 16
 
 
-def choose_views(parts: Sequence[Part], scene: RayScene, count: int = 1) -> list[FloatArray]:
-    """Choose directions to the camera, unit, (count of (3,)); `scene` is made of the same parts.
+def choose_views(
+    parts: Sequence[Part], scene: RayScene, count: int = 1, *, fov: float = FIELD_OF_VIEW
+) -> list[FloatArray]:
+    """Choose directions to the camera, unit, (count of (3,)); `scene` begins with the same parts.
 
     The candidates lie around the line between the hands, so that the hands stand on opposite sides
     of the picture; a single hand stands opposite to the object, which then counts as the other.
     The first shows most of the hand that is seen least; each further one does so
     among those at least 60 degrees away from the ones chosen before. Ties go to the candidate
-    with the lowest number, so the choice is deterministic.
+    with the lowest number, so the choice is deterministic. The trial cameras have the opening angle
+    `fov` [rad]: a small one stands far off, behind what else may be in the way.
     """
     subjects = _subjects(parts)
     candidates = _candidates([_middle([parts[i] for i in group]) for group in subjects])
@@ -38,7 +41,7 @@ def choose_views(parts: Sequence[Part], scene: RayScene, count: int = 1) -> list
         return [candidates[k] for k in range(count)]
     points = subject_points(parts)
     points = points[:: 1 + len(points) // _FRAMING_POINTS]
-    areas = [scene.visible(framed(points, d, 1.0), _SIDE, _SIDE) for d in candidates]
+    areas = [scene.visible(framed(points, d, 1.0, fov=fov), _SIDE, _SIDE) for d in candidates]
     score = np.array([min(a[group].sum() for group in subjects) for a in areas], np.float64)
     score *= _readable(candidates[:, 2])
     chosen: list[FloatArray] = []
