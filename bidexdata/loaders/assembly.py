@@ -36,6 +36,23 @@ class Selection(NamedTuple):
     """Numbers of their objects and sizes among those that `CloudRows.keep` was given."""
 
 
+class Gathered(NamedTuple):
+    """Rows as they are stored, before a batch is made of them."""
+
+    found: dict[str, np.ndarray]
+    text: dict[str, list[str]]
+    selection: Selection
+
+    def part(self, low: int, high: int) -> Gathered:
+        """The rows [low, high) of them, which are no copy."""
+        key, objects, kind = self.selection
+        return Gathered(
+            {name: values[low:high] for name, values in self.found.items()},
+            {name: words[low:high] for name, words in self.text.items()},
+            Selection(key[low:high], objects[low:high], None if kind is None else kind[low:high]),
+        )
+
+
 class Assembly:
     """Makes batches of one release by some options.
 
@@ -71,22 +88,18 @@ class Assembly:
             (n, renamed(n, options.rotation, options.quat_order)) for n in options.fields
         ]
         self._converts = any(n != key for n, key in self._names)
+        # Nothing but clouds is added to what is stored.
+        self._plain_clouds = options.clouds == "expand" and options.frame == "object"
+        self._plain_clouds &= not (options.augment or options.normals)
 
-    def batch(
-        self,
-        found: dict[str, np.ndarray],
-        text: dict[str, list[str]],
-        selection: Selection,
-        epoch: int,
-    ) -> dict[str, Any]:
+    def batch(self, rows: Gathered, epoch: int) -> dict[str, Any]:
         """Make a batch of tensors.
 
         Args:
-            found: Columns as stored: the fields that are not text, and `ItemOptions.helpers`.
-            text: Text columns.
-            selection: The rows.
+            rows: The fields as stored, and what `ItemOptions.helpers` names.
             epoch: What augmentation depends on besides the key.
         """
+        found, text, selection = rows
         options, tensor = self.options, self._tensor
         extra: dict[str, np.ndarray] = {"object_index": selection.objects}
         if self.clouds is not None and options.cloud is not None:
@@ -115,6 +128,8 @@ class Assembly:
     def _clouds(self, found: dict[str, np.ndarray], selection: Selection) -> dict[str, np.ndarray]:
         assert self.clouds is not None
         options, objects, sizes = self.options, selection.objects, found["size"]
+        if self._plain_clouds:
+            return {str(options.cloud): self.clouds.at_size(objects, sizes, selection.kind)}
         in_world = self.on_table and options.frame == "world"
         shared: Any = slice(None)
         out: dict[str, np.ndarray] = {}
@@ -125,9 +140,8 @@ class Assembly:
             if options.augment:
                 kinds.append(selection.key)
             shared, out["point_index"] = distinct(*kinds)
-        # A view into rows of many columns is no plain array, which the gather wants.
         kind = None if selection.kind is None else selection.kind[shared]
-        points = self.clouds.at_size(objects[shared], np.ascontiguousarray(sizes[shared]), kind)
+        points = self.clouds.at_size(objects[shared], sizes[shared], kind)
         if in_world:
             pos, quat = (found[n][shared] for n in POSE_OF_OBJECT)
             points = points_in_world(pos, quat, points)

@@ -51,7 +51,7 @@ class CloudRows:
             # A mapped file cannot be written, and nothing here does.
             warnings.simplefilter("ignore", UserWarning)
             self._flat = torch.from_numpy(chosen)
-        self.points = points
+        self.points, self._width = points, 3 * points
         self._kept: _Scaled | None = None
         self._all_filled = False
         self._buffers = _Buffers()
@@ -87,14 +87,16 @@ class CloudRows:
             kind: Number of each among what `keep` was given.
         """
         kept = self._kept
-        if kept is None or kind is None or not (kept.sizes.take(kind) == sizes).all():
-            return self._scaled(objects, sizes).reshape(-1, self.points, 3)
+        # Bytes are compared: two calls in place of four, and sizes are no NaN and no negative zero.
+        if kept is None or kind is None or kept.sizes.take(kind).tobytes() != sizes.tobytes():
+            # A view into rows of many columns is no plain array, which the gather wants.
+            return self._scaled(objects, np.ascontiguousarray(sizes)).reshape(-1, self.points, 3)
         if not (self._all_filled or kept.filled.take(kind).all()):
             new = np.unique(kind[~kept.filled[kind]])
             kept.clouds[new] = self._scaled(kept.objects[new], kept.sizes[new])
             kept.filled[new] = True
             self._all_filled = bool(kept.filled.all())
-        out = self._buffers.take((len(kind), kept.clouds.shape[1]))
+        out = self._buffers.take((len(kind), self._width))
         # Numbers of kinds are in range, and only this mode writes to `out` without a buffer.
         kept.clouds.take(kind, 0, out, "clip")
         return out.reshape(-1, self.points, 3)

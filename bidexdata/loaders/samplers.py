@@ -46,12 +46,25 @@ class EpochSampler:
 
     def __iter__(self) -> Iterator[int]:
         """Give the rest of this epoch, then step to the next one."""
-        self._emitted, self._given = self._emitted + self._given * self.world_size, 0
-        self._begun = (self.epoch, self._emitted)
-        for block in self._mine(self._emitted):
+        for block in self._begin():
             for row in block.tolist():
                 self._given += 1
                 yield row
+        self.set_epoch(self.epoch + 1)
+
+    def chunks(self, rows: int) -> Iterator[Int[np.ndarray, " n"]]:
+        """What iterating gives, as arrays of `rows` samples; the last may be smaller."""
+        left = np.zeros(0, np.int64)
+        for block in self._begin():
+            ready = np.concatenate([left, block]) if len(left) else block
+            whole = len(ready) // rows * rows
+            for low in range(0, whole, rows):
+                self._given += rows
+                yield ready[low : low + rows]
+            left = ready[whole:]
+        if len(left):
+            self._given += len(left)
+            yield left
         self.set_epoch(self.epoch + 1)
 
     def order(self) -> Int[np.ndarray, " n"]:
@@ -91,6 +104,12 @@ class EpochSampler:
         self.set_epoch(state["epoch"])
         self._emitted = state["emitted"]
         self._begun = (self.epoch, self._emitted)
+
+    def _begin(self) -> Iterator[Int[np.ndarray, " n"]]:
+        """Note that a pass begins; the rest of this epoch in blocks."""
+        self._emitted, self._given = self._emitted + self._given * self.world_size, 0
+        self._begun = (self.epoch, self._emitted)
+        return self._mine(self._emitted)
 
     def _share(self, start: int) -> int:
         """Samples per rank behind the first `start`: whole rounds of groups, so all get as many."""

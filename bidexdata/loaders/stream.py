@@ -20,7 +20,7 @@ from bidexdata.errors import BadConfig, NotUsable, UnknownName
 from bidexdata.formats import parquet
 from bidexdata.formats.release import Release
 from bidexdata.formats.tables import ARM_COLUMNS, CONFIGURATIONS, arms_tables, column_field
-from bidexdata.loaders.assembly import Assembly, Selection, columns_needed
+from bidexdata.loaders.assembly import Assembly, Gathered, Selection, columns_needed
 from bidexdata.loaders.filters import Where, columns_named, matching_rows
 from bidexdata.loaders.options import DEFAULT_FIELDS, ItemOptions, require_torch
 from bidexdata.loaders.permutation import permuted
@@ -248,7 +248,7 @@ class BiDexStream(IterableDataset[dict[str, Any]]):
         ids = {object_id: k for k, object_id in enumerate(self.release.object_ids)}
         objects = np.array([ids[i] for i in table.column("object_id").to_pylist()], np.int64)
         found, text = self._arrays(table)
-        return self._assembly.batch(found, text, Selection(rows, objects), self.epoch)
+        return self._assembly.batch(Gathered(found, text, Selection(rows, objects)), self.epoch)
 
     def _windows(self) -> list[tuple[int, int, int]]:
         """Number, first place and number of rows of each window of this epoch."""
