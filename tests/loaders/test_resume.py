@@ -2,7 +2,9 @@
 
 from itertools import islice
 
+import numpy as np
 import pytest
+from HELPER import EVERYTHING, same_batches
 
 from bidexdata.loaders import BiDexDataset, EpochSampler, ObjectSampler, ResumableLoader
 
@@ -88,3 +90,35 @@ def test_a_prefetched_run_counts_what_was_handed_out_only(data):
     next(batches)
     assert source.state_dict()["emitted"] == 2
     batches.close()
+
+
+@pytest.mark.parametrize("batch", [3, 8, 4096])
+@pytest.mark.parametrize("options", [{}, {"augment": ("yaw",)}, {"clouds": "unique"}, {"where": "suc_f"}], ids=str)  # fmt: skip
+def test_batches_cut_from_many_rows_are_those_that_are_read_alone(floating, batch, options):
+    data = BiDexDataset(floating, points=16, fields=EVERYTHING, **options)
+    order = EpochSampler(len(data), 2).order()
+    found = list(ResumableLoader(data, batch, EpochSampler(len(data), 2)))
+    parts = [order[k : k + batch] for k in range(0, len(order), batch)]
+    assert same_batches(found, [data.__getitems__(part).stacked for part in parts])
+    by_pytorch = ResumableLoader(data, batch, EpochSampler(len(data), 2), num_workers=0)
+    assert same_batches(found, list(by_pytorch))
+
+
+def test_no_batch_writes_to_another(floating):
+    data = BiDexDataset(floating, points=16)
+    batches = list(ResumableLoader(data, 3, EpochSampler(len(data), 2)))
+    expected = list(ResumableLoader(data, 3, EpochSampler(len(data), 2)))
+    for batch in batches[::2]:
+        for values in batch.values():
+            values.zero_()
+    assert same_batches(batches[1::2], expected[1::2])
+    assert same_batches(list(ResumableLoader(data, 3, EpochSampler(len(data), 2))), expected)
+
+
+@pytest.mark.parametrize("rows", [1, 5, 7, 100])
+def test_chunks_are_the_order_that_iterating_gives(data, rows):
+    a, b = EpochSampler(len(data), 3), EpochSampler(len(data), 3)
+    chunks = list(a.chunks(rows))
+    assert np.concatenate(chunks).tolist() == list(b)
+    assert all(len(chunk) == rows for chunk in chunks[:-1])
+    assert a.state_dict() == b.state_dict()
