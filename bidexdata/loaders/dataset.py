@@ -149,7 +149,7 @@ class BiDexDataset:
         """Give one grasp as tensors (text fields as str)."""
         return cast(GraspItem, self.__getitems__([index])[0])
 
-    def __getitems__(self, indices: Sequence[int]) -> RowBatch:
+    def __getitems__(self, indices: Sequence[int] | Int[np.ndarray, " n"]) -> RowBatch:
         """Give many grasps at once: what a DataLoader calls."""
         chosen = np.asarray(indices, np.int64)
         return RowBatch(self.read(self.rows(chosen)), len(chosen))

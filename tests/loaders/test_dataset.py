@@ -4,6 +4,7 @@ import pickle
 import numpy as np
 import pytest
 import torch
+from batches_alike import EVERYTHING, same_batches
 from made_release import OBJECTS, PER_SCENE, SIZES, as_schema_1_0, made_release
 from torch.utils.data import DataLoader
 
@@ -14,25 +15,11 @@ from bidexdata.formats.release import Release
 from bidexdata.loaders import BiDexDataset, EpochSampler, collate
 from bidexdata.loaders.stored import FloatRows, Rows
 
-EVERYTHING = ("hand_pos", "hand_quat_wxyz", "joints", "size_mm", "suc_f", "pd", "grasp_id", "contact_point", "contact_index", "attempt")  # fmt: skip
 FLOAT32 = 2e-6  # metres and quaternion parts of order 1, converted in float64 and stored in float32
 
 
 def loaded(data, **options):
     return list(DataLoader(data, batch_size=5, collate_fn=collate, **options))
-
-
-def same_batches(a, b) -> bool:
-    return len(a) == len(b) and all(
-        x.keys() == y.keys()
-        and all(
-            torch.equal(torch.nan_to_num(x[k]), torch.nan_to_num(y[k]))
-            if isinstance(x[k], torch.Tensor)
-            else x[k] == y[k]
-            for k in x
-        )
-        for x, y in zip(a, b, strict=True)
-    )
 
 
 def test_items_are_the_rows_of_the_release(floating):

@@ -4,7 +4,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from HELPER import EVERYTHING, same_batches
+from batches_alike import EVERYTHING, same_batches
 
 from bidexdata.loaders import BiDexDataset, EpochSampler, ObjectSampler, ResumableLoader
 
