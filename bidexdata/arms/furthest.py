@@ -202,7 +202,7 @@ def _along(robot: Robot, found: Found) -> tuple[Float[np.ndarray, "T 2 A"], np.n
     rests = np.array([_padded(robot, arm.chain.rest) for arm in robot.arms])
     frames[:, _HOME] = rests
     for h, arm in enumerate(robot.arms):
-        known = np.isfinite(frames[h, :, : arm.chain.joints]).all(axis=1)
+        known = np.asarray(np.isfinite(frames[h, :, : arm.chain.joints]).all(axis=1))
         for k in np.flatnonzero(~known):
             near = _GRASP if known[_GRASP] else _HOME
             frames[h, k] = frames[h, near]
