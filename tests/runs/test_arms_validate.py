@@ -119,6 +119,7 @@ def test_a_replay_gives_the_stored_verdict_and_shows_arms_when_asked(run: Run, t
         assert json.loads(capsys.readouterr().out)["test"] == test
 
 
+@pytest.mark.slow
 def test_a_replay_with_arms_is_filmed(run: Run, tmp_path, monkeypatch, capsys):
     import av
 
@@ -137,6 +138,7 @@ def test_a_replay_with_arms_is_filmed(run: Run, tmp_path, monkeypatch, capsys):
     assert np.abs(frames[0].astype(int) - frames[-2]).max() > 50  # the arms have moved
 
 
+@pytest.mark.slow
 def test_motions_are_filmed_and_what_stopped_the_others_is_drawn(run: Run, tmp_path, monkeypatch):
     from PIL import Image
 
