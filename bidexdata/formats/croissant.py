@@ -15,6 +15,7 @@ from bidexdata.formats.citation import About
 from bidexdata.formats.columns import Column, release_columns
 from bidexdata.formats.licences import licence_address
 from bidexdata.formats.manifest import sha256_of
+from bidexdata.formats.tables import CONFIGURATIONS, folder_of
 from bidexdata.record import Header
 
 CROISSANT = "croissant.json"
@@ -104,10 +105,8 @@ def _tables(
         files.append(_file(root, f"{table}.parquet"))
         records.append(_record_set(table, f"{table}.parquet", "fileObject", columns[table]))
     for table in (t for t in columns if t not in _PLAIN):
-        for configuration in ("selected", "audit"):
-            first, _, rest = table.partition("/")
-            folder = first if configuration == "selected" else f"{first}_{configuration}"
-            folder = f"{folder}/{rest}" if rest else folder
+        for configuration in CONFIGURATIONS:
+            folder = folder_of(table, configuration)
             parts = sorted(p.name for p in (root / folder).glob("*.parquet"))
             if not parts:
                 continue

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.errors import Contradiction
-from bidexdata.formats.tables import column_field
+from bidexdata.formats.tables import column_field, folder_of
 from bidexdata.record import FIELDS, Header
 from bidexdata.record.batch import field_metadata
 
@@ -144,6 +144,4 @@ def split_files(root: Path, table: str, configuration: str, split: str) -> list[
         configuration: `selected` or `audit`.
         split: One split.
     """
-    first, _, rest = table.partition("/")
-    suffix = "" if configuration == "selected" else f"_{configuration}"
-    return sorted((root / f"{first}{suffix}" / rest).glob(f"{split}-*.parquet"))
+    return sorted((root / folder_of(table, configuration)).glob(f"{split}-*.parquet"))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from bidexdata.formats import parquet
 from bidexdata.formats.licences import hub_licence
 from bidexdata.formats.splits import SPLITS
+from bidexdata.formats.tables import CONFIGURATIONS, folder_of
 
 PLAIN_TABLES = ("objects", "scenes", "runs")
 _SIZES = (
@@ -46,16 +48,11 @@ def hub_metadata(root: Path, head: Mapping[str, Any]) -> str:
 
 
 def _configs(root: Path, tests: list[str], rigs: list[str]) -> list[dict[str, Any]]:
-    tables = [("selected", "grasps"), ("audit", "grasps_audit")]
-    tables += [("contacts", "contacts"), ("contacts_audit", "contacts_audit")]
-    for rig in rigs:
-        tables += [(f"arms-{rig}", f"arms/{rig}"), (f"arms_audit-{rig}", f"arms_audit/{rig}")]
-    for test in tests:
-        tables.append((f"verdicts-{test}", f"verdicts/{test}"))
-        tables.append((f"verdicts_audit-{test}", f"verdicts_audit/{test}"))
+    tables = ["grasps", "contacts", *(f"arms/{r}" for r in rigs), *(f"verdicts/{t}" for t in tests)]
     configs: list[dict[str, Any]] = []
-    for name, folder in tables:
-        found = []
+    for table, configuration in product(tables, CONFIGURATIONS):
+        folder, found = folder_of(table, configuration), []
+        name = configuration if table == "grasps" else folder.replace("/", "-")
         for split in SPLITS:
             parts = sorted((root / folder).glob(f"{split}-*.parquet"))
             # Hub readers refuse a split without rows.

@@ -93,14 +93,12 @@ class RowWriters:
 
     def _add_writer(self, place: Place, header: Header) -> None:
         configuration, split, table = place
-        first, _, rest = table.partition("/")
-        suffix = "" if configuration == "selected" else f"_{configuration}"
         schema = tables.row_schema(table, header)
         watch = self._watcher(place)
         watch(schema.empty_table())
         self._threads[place] = Background()
         self._writers[place] = parquet.TableWriter(
-            self._root / f"{first}{suffix}" / rest,
+            self._root / tables.folder_of(table, configuration),
             split,
             schema,
             SORTED_BY if table == "grasps" else (),

@@ -129,6 +129,17 @@ def arms_tables(header: Header) -> tuple[str, ...]:
     return tuple(dict.fromkeys(f"arms/{arm.rig}" for arm in header.arms))
 
 
+def folder_of(table: str, configuration: str) -> str:
+    """Folder of a row table's Parquet files in a release.
+
+    >>> folder_of("grasps", "selected"), folder_of("verdicts/paper-1-f", "audit")
+    ('grasps', 'verdicts_audit/paper-1-f')
+    """
+    first, slash, rest = table.partition("/")
+    suffix = "" if configuration == "selected" else f"_{configuration}"
+    return f"{first}{suffix}{slash}{rest}"
+
+
 def row_schema(table: str, header: Header) -> pa.Schema:
     """Schema of a row table by its name."""
     make = {

@@ -32,7 +32,7 @@ from bidexdata.formats.rows import ReleaseRows, RunInfo, TestKey, join_rows
 from bidexdata.formats.scene_facts import ScenePhysics
 from bidexdata.formats.splits import SPLITS, Splitting, split_rows
 from bidexdata.formats.statistics import write_statistics
-from bidexdata.formats.tables import CONFIGURATIONS
+from bidexdata.formats.tables import CONFIGURATIONS, folder_of
 from bidexdata.objects.prepared import PreparedObject
 from bidexdata.record import Header
 from bidexdata.record.fields import TESTS
@@ -283,9 +283,8 @@ def _write_hdf5(root: Path, form: Form, head: Mapping[str, Any], tests: Sequence
     whole = sorted(tests) if form == "hdf5" else None
     hdf5.write_training_form(root, SPLITS, about=hdf5.about_release(head), whole_tests=whole)
     for configuration in CONFIGURATIONS if form == "hdf5" else ():
-        suffix = "" if configuration == "selected" else f"_{configuration}"
         for table in ("grasps", "contacts", "arms", "verdicts"):
-            shutil.rmtree(root / f"{table}{suffix}", ignore_errors=True)
+            shutil.rmtree(root / folder_of(table, configuration), ignore_errors=True)
 
 
 def _package_version() -> str:

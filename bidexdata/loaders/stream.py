@@ -19,7 +19,13 @@ import numpy as np
 from bidexdata.errors import BadConfig, NotUsable, UnknownName
 from bidexdata.formats import parquet
 from bidexdata.formats.release import Release
-from bidexdata.formats.tables import ARM_COLUMNS, CONFIGURATIONS, arms_tables, column_field
+from bidexdata.formats.tables import (
+    ARM_COLUMNS,
+    CONFIGURATIONS,
+    arms_tables,
+    column_field,
+    folder_of,
+)
 from bidexdata.loaders.assembly import Assembly, Gathered, Selection, columns_needed
 from bidexdata.loaders.filters import Where, columns_named, matching_rows
 from bidexdata.loaders.options import DEFAULT_FIELDS, ItemOptions, require_torch
@@ -168,9 +174,9 @@ class BiDexStream(IterableDataset[dict[str, Any]]):
         """Files of grasps that are there; says how many of those in the manifest are not."""
         release = self.release
         files = release.table_files("grasps", self.configuration, self.split)
-        suffix = "" if self.configuration == "selected" else f"_{self.configuration}"
         splits = release.split_names if self.split is None else (self.split,)
-        heads = tuple(f"grasps{suffix}/{split}-" for split in splits)
+        folder = folder_of("grasps", self.configuration)
+        heads = tuple(f"{folder}/{split}-" for split in splits)
         named = [n for n in release.manifest["files"] if n.startswith(heads)]
         if not files and release.form == "hdf5":
             raise NotUsable(
