@@ -22,6 +22,13 @@ if TYPE_CHECKING:
 
 Where = str | Mapping[str, Any] | Callable[[Mapping[str, np.ndarray]], np.ndarray] | None
 
+DEEPEST = 100
+"""Levels of `not`, brackets and comparisons in an expression; Arrow follows them one in another."""
+MOST_CONDITIONS = 1000
+"""Conditions that an expression joins; some ten times as many were seen to overflow Arrow's stack."""
+_SHOWN = 200
+"""Letters of an expression that a message repeats."""
+
 _COMPARE: dict[type, Callable[[Any, Any], Any]] = {
     ast.Eq: lambda a, b: a == b,
     ast.NotEq: lambda a, b: a != b,
@@ -104,10 +111,33 @@ def parse(text: str, columns: Sequence[str]) -> pc.Expression:
 
 
 def _tree(text: str) -> ast.expr:
+    shown = text if len(text) <= _SHOWN else text[:_SHOWN] + "..."
     try:
-        return ast.parse(text.strip(), mode="eval").body
+        tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError) as err:
-        raise BadConfig(f"where={text!r} cannot be read ({err})") from err
+        raise BadConfig(f"where={shown!r} cannot be read ({err})") from err
+    except (RecursionError, MemoryError):  # what Python's parser raises of a deep one
+        tree = None
+    if tree is None or _too_deep(tree):
+        raise BadConfig(
+            f"where={shown!r} nests deeper than {DEEPEST} levels, or joins more than "
+            f"{MOST_CONDITIONS} conditions; `column in [...]` takes any number of values"
+        )
+    return tree
+
+
+def _too_deep(tree: ast.expr) -> bool:
+    level: list[ast.AST] = [tree]
+    depth = conditions = 0
+    while level:
+        depth += 1
+        for node in level:
+            conditions += len(node.values) if isinstance(node, ast.BoolOp) else 0
+            conditions += len(node.ops) if isinstance(node, ast.Compare) else 0
+        if depth > DEEPEST or conditions > MOST_CONDITIONS:
+            return True
+        level = [child for node in level for child in ast.iter_child_nodes(node)]
+    return False
 
 
 def _expression(node: ast.expr, text: str, columns: Sequence[str]) -> Any:

@@ -71,6 +71,31 @@ def test_anything_else_is_refused(where):
         matching_rows(where, INDEX)
 
 
+@pytest.mark.parametrize(
+    "where",
+    [
+        "not " * 3000 + "suc_f",
+        "not " * 150 + "suc_f",
+        "(suc_f and not " * 3000 + "suc_f" + ")" * 3000,
+        "(" * 3000 + "suc_f" + ")" * 3000,
+        "suc_f and " * 10_000 + "suc_f",  # would overflow the stack of Arrow
+        "size_mm < " * 10_000 + "3",
+    ],
+)
+def test_what_is_too_deep_is_refused_in_one_sentence(where):
+    for read in (columns_named, lambda w: matching_rows(w, INDEX)):
+        with pytest.raises(BadConfig) as caught:
+            read(where)
+        assert len(str(caught.value)) < 500
+
+
+def test_many_conditions_and_any_number_of_values_are_read():
+    assert matching_rows("not " * 90 + "suc_f", INDEX).tolist() == [0, 1]
+    assert matching_rows("suc_f and " * 900 + "suc_f", INDEX).tolist() == [0, 1]
+    many = ", ".join(map(str, range(5000)))
+    assert matching_rows(f"size_mm in [{many}]", INDEX).tolist() == [0, 1, 2, 3]
+
+
 @pytest.mark.parametrize("where", ["size > 3", "sucf", {"sizes": 1}])
 def test_unknown_columns_are_named(where):
     with pytest.raises(UnknownName, match="known: size_mm"):
