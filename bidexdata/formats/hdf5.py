@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.errors import Contradiction, UnknownName
+from bidexdata.errors import Contradiction, NotUsable, UnknownName
 from bidexdata.formats import parquet
 from bidexdata.formats.hdf5_layout import ARMS as ARMS
 from bidexdata.formats.hdf5_layout import CONTACTS as CONTACTS
@@ -37,7 +37,8 @@ from bidexdata.formats.hdf5_layout import (
 from bidexdata.formats.hdf5_writer import about_release as about_release
 from bidexdata.formats.hdf5_writer import rebuild_training_form as rebuild_training_form
 from bidexdata.formats.hdf5_writer import write_training_form as write_training_form
-from bidexdata.formats.tables import column_field
+from bidexdata.formats.manifest import read_manifest
+from bidexdata.formats.tables import column_field, folder_of
 
 if TYPE_CHECKING:
     import h5py
@@ -83,6 +84,7 @@ def map_columns(
 
     Raises:
         UnknownName: No float or integer column is called so.
+        NotUsable: There is no training form, and a Parquet file is not there.
         Contradiction: The file cannot be read as the training form.
     """
     path = root / TRAINING_FILE
@@ -112,9 +114,13 @@ def read_values(
     part: str = VALUES,
     columns: Sequence[str] | None = None,
 ) -> MappedValues:
-    """Read what `map_values` maps, or some columns of it, from the Parquet tables into memory."""
+    """Read what `map_values` maps, or some columns of it, from the Parquet tables into memory.
+
+    Raises:
+        NotUsable: A file is not there.
+    """
     table = {CONTACTS: "contacts", VALUES: "grasps"}.get(part, part)
-    files = split_files(root, table, configuration, split)
+    files = _all_files(root, table, configuration, split)
     layout = float_layout(parquet.read_schema(files[0]))
     if columns is not None:
         layout = [entry for entry in layout if entry["name"] in columns]
@@ -127,13 +133,6 @@ def read_values(
             fill_floats(values[at : at + group.num_rows], layout, group)
             at += group.num_rows
     return MappedValues(values, layout_slices(layout))
-
-
-def read_integer_lists(
-    root: Path, configuration: str, split: str, names: Sequence[str]
-) -> dict[str, NDArray[np.integer]]:
-    """Read integer list columns (`INTEGER_LISTS`): mapped, or from Parquet into memory."""
-    return map_columns(root, configuration, split, names) if names else {}
 
 
 def count_rows(root: Path, configuration: str, split: str) -> int:
@@ -244,7 +243,7 @@ def _read_columns(
     parts: dict[str, list[np.ndarray]] = {name: [] for name in names}
     known: list[str] = []
     for table in ("grasps", "contacts"):
-        files = split_files(root, table, configuration, split)
+        files = _all_files(root, table, configuration, split)
         schema = parquet.read_schema(files[0])
         header, texts = header_of_schema(schema), text_columns(schema)
         here = [n for n in schema.names if n not in texts]
@@ -260,6 +259,23 @@ def _read_columns(
         if name not in known:
             raise UnknownName("column", name, sorted(known))
     return {name: np.concatenate(found) for name, found in parts.items()}
+
+
+def _all_files(root: Path, table: str, configuration: str, split: str) -> list[Path]:
+    """Parquet files of a split of a row table: all that the manifest names.
+
+    Raises:
+        NotUsable: One of them is not there, as after a partial download.
+    """
+    head = f"{folder_of(table, configuration)}/{split}-"
+    named = sorted(n for n in read_manifest(root)["files"] if n.startswith(head))
+    for name in named or [TRAINING_FILE]:
+        if not (root / name).is_file():
+            raise NotUsable(
+                f"{root / name} is not there, though the manifest names it: download it"
+                + (", or read the files that are there with BiDexStream" if named else "")
+            )
+    return split_files(root, table, configuration, split)
 
 
 def _numbers(column: pa.ChunkedArray, dtype: str) -> np.ndarray:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bidexdata.errors import Contradiction
-from bidexdata.formats.tables import column_field, folder_of
+from bidexdata.formats.tables import column_field, folder_of, value_type
 from bidexdata.record import FIELDS, Header
 from bidexdata.record.batch import field_metadata
 
@@ -114,13 +114,6 @@ def integer_values(column: pa.ChunkedArray, dtype: np.dtype) -> np.ndarray:
     if pa.types.is_boolean(array.type):
         array = array.cast(pa.int8()).fill_null(-1)
     return array.to_numpy(zero_copy_only=False).astype(dtype)
-
-
-def value_type(kind: pa.DataType) -> pa.DataType:
-    """Type of a column's numbers."""
-    import pyarrow as pa
-
-    return kind.value_type if pa.types.is_fixed_size_list(kind) else kind
 
 
 def header_of_schema(schema: pa.Schema) -> Header:

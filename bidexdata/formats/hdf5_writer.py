@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
+LIBRARY_VERSIONS = ("v110", "v114")
+"""Oldest and newest version of HDF5 whose file format is used, as h5py's `libver`."""
 ALIGNMENT = 64
 """Datasets begin at multiples of this [bytes]: `np.take` copies the whole of an array that does not
 begin at a multiple of its numbers' size."""
@@ -59,7 +61,7 @@ def write_training_form(
     """
     import h5py
 
-    path, bounds = root / TRAINING_FILE, ("v110", "v114")
+    path, bounds = root / TRAINING_FILE, LIBRARY_VERSIONS
     aligned = {"alignment_threshold": 1, "alignment_interval": ALIGNMENT}
     # Without track_times the same rows give the same bytes.
     with h5py.File(path, "w", libver=bounds, track_order=True, **aligned) as file:  # pyright: ignore[reportArgumentType]

@@ -8,11 +8,13 @@ cuts row groups and files by row number and object, not by the batches it is giv
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bidexdata.errors import Contradiction
+from bidexdata.formats.tables import value_type
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -128,7 +130,7 @@ def read_table(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     """Read a Parquet file with every page checksum verified.
 
     Raises:
-        Contradiction: The file is damaged.
+        Contradiction: The file is missing or damaged.
     """
     parts = list(read_groups(path, columns))
     import pyarrow as pa
@@ -144,22 +146,17 @@ def read_groups(
     A file without row groups yields one table without rows, so that the schema arrives.
 
     Raises:
-        Contradiction: The file is damaged or is no Parquet file.
+        Contradiction: The file is missing, damaged or no Parquet file.
     """
-    import pyarrow as pa
-
-    try:
-        with _open_checked(path) as file:
-            names = list(columns) if columns is not None else None
-            chosen = range(file.num_row_groups) if groups is None else groups
-            if file.num_row_groups == 0:
-                schema = file.schema_arrow
-                empty = schema.empty_table()
-                yield empty.select(names) if names is not None else empty
-            for group in chosen:
-                yield _with_columns(file.read_row_group(group, columns=names), names, path)
-    except (OSError, pa.ArrowException, UnicodeDecodeError) as err:
-        raise Contradiction(f"{path}: damaged Parquet file ({_first_line(err)})") from err
+    with _open_checked(path) as file:
+        names = list(columns) if columns is not None else None
+        chosen = range(file.num_row_groups) if groups is None else groups
+        if file.num_row_groups == 0:
+            schema = file.schema_arrow
+            empty = schema.empty_table()
+            yield empty.select(names) if names is not None else empty
+        for group in chosen:
+            yield _with_columns(file.read_row_group(group, columns=names), names, path)
 
 
 def _with_columns(table: pa.Table, names: list[str] | None, path: Path) -> pa.Table:
@@ -174,68 +171,44 @@ def read_schema(path: Path) -> pa.Schema:
     """Read the Arrow schema of a Parquet file.
 
     Raises:
-        Contradiction: The footer is damaged.
+        Contradiction: The file is missing or its footer damaged.
     """
-    import pyarrow as pa
-
-    try:
-        with _open_checked(path) as file:
-            return file.schema_arrow
-    except (OSError, pa.ArrowException, UnicodeDecodeError) as err:
-        raise Contradiction(f"{path}: damaged Parquet file ({_first_line(err)})") from err
+    with _open_checked(path) as file:
+        return file.schema_arrow
 
 
 def row_counts(path: Path) -> list[int]:
     """Rows of each row group of a Parquet file.
 
     Raises:
-        Contradiction: The footer is damaged.
+        Contradiction: The file is missing or its footer damaged.
     """
-    import pyarrow as pa
-
-    try:
-        with _open_checked(path) as file:
-            meta = file.metadata
-            return [meta.row_group(g).num_rows for g in range(meta.num_row_groups)]
-    except (OSError, pa.ArrowException, UnicodeDecodeError) as err:
-        raise Contradiction(f"{path}: damaged Parquet file ({_first_line(err)})") from err
-
-
-def groups_with(path: Path, column: str, low: Any, high: Any) -> list[int]:
-    """Row groups whose statistics of a scalar column overlap [low, high]; all where unknown.
-
-    Raises:
-        Contradiction: The footer is damaged.
-    """
-    import pyarrow as pa
-
-    try:
-        with _open_checked(path) as file:
-            meta, found = file.metadata, []
-            at = file.schema_arrow.get_field_index(column)
-            at = [meta.schema.column(i).path for i in range(meta.num_columns)].index(
-                file.schema_arrow.field(at).name
-            )
-            for g in range(meta.num_row_groups):
-                stats = meta.row_group(g).column(at).statistics
-                if stats is not None and stats.has_min_max and not low <= stats.max:
-                    continue
-                if stats is not None and stats.has_min_max and not stats.min <= high:
-                    continue
-                found.append(g)
-            return found
-    except (OSError, pa.ArrowException, UnicodeDecodeError) as err:
-        raise Contradiction(f"{path}: damaged Parquet file ({_first_line(err)})") from err
+    with _open_checked(path) as file:
+        meta = file.metadata
+        return [meta.row_group(g).num_rows for g in range(meta.num_row_groups)]
 
 
 def _at_once(job: Callable[[], Any]) -> None:
     job()
 
 
-def _open_checked(path: Path) -> pq.ParquetFile:
+@contextmanager
+def _open_checked(path: Path) -> Iterator[pq.ParquetFile]:
+    """Open a file; whatever fails while it is open is damage.
+
+    Raises:
+        Contradiction: The file is missing or damaged.
+    """
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    return pq.ParquetFile(path, page_checksum_verification=True)
+    if not path.is_file():
+        raise Contradiction(f"{path} is missing")
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            yield file
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as err:
+        raise Contradiction(f"{path}: damaged Parquet file ({_first_line(err)})") from err
 
 
 def _parquet_writer(path: Path, schema: pa.Schema, sorted_by: Sequence[str]) -> pq.ParquetWriter:
@@ -243,7 +216,7 @@ def _parquet_writer(path: Path, schema: pa.Schema, sorted_by: Sequence[str]) -> 
     import pyarrow.parquet as pq
 
     strings = [f.name for f in schema if pa.types.is_string(f.type)]
-    floats = [_leaf(f) for f in schema if pa.types.is_floating(_value_type(f.type))]
+    floats = [_leaf(f) for f in schema if pa.types.is_floating(value_type(f.type))]
     order = None
     if sorted_by:
         order = pq.SortingColumn.from_ordering(schema, [(c, "ascending") for c in sorted_by])
@@ -259,12 +232,6 @@ def _parquet_writer(path: Path, schema: pa.Schema, sorted_by: Sequence[str]) -> 
         sorting_columns=order,
         version="2.6",
     )
-
-
-def _value_type(kind: pa.DataType) -> pa.DataType:
-    import pyarrow as pa
-
-    return kind.value_type if pa.types.is_fixed_size_list(kind) else kind
 
 
 def _leaf(field: pa.Field) -> str:

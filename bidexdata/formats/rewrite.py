@@ -23,7 +23,7 @@ from bidexdata.formats.splits import ALL, Splitting, check_rule
 from bidexdata.formats.stored_parts import StoredParts, run_infos, tests_of
 from bidexdata.formats.stored_rows import Choose, StoredRows
 from bidexdata.formats.writer import Form, ReleaseSummary, check_names
-from bidexdata.record.batch import SCHEMA_VERSION
+from bidexdata.record.batch import SCHEMA_VERSION, number_of
 from bidexdata.record.settings import differing_settings, fuller_settings
 
 How = Literal["migrate", "merge", "split", "subset"]
@@ -179,16 +179,12 @@ def _rows_of(sources: Sequence[_Source], object_id: str) -> Iterator[ReleaseRows
 def _refuse_newer(releases: Sequence[Release]) -> None:
     for release in releases:
         theirs = release.header.schema_version
-        if _numbers(theirs) > _numbers(SCHEMA_VERSION):
+        if number_of(theirs) > number_of(SCHEMA_VERSION):
             raise NotUsable(
                 f"{release.path} has schema {theirs}, and this version of bidexdata writes "
                 f"{SCHEMA_VERSION}, which would lose columns; upgrade it with "
                 "`pip install -U bidexdata`"
             )
-
-
-def _numbers(version: str) -> tuple[int, ...]:
-    return tuple(int(part) for part in version.split(".") if part.isdecimal())
 
 
 def _check_together(releases: Sequence[Release]) -> None:
@@ -242,7 +238,7 @@ def _protocol(releases: Sequence[Release], wanted: str | None) -> str:
     if len(defaults) > 1:
         raise NotUsable(
             f"the releases have different default protocols ({', '.join(defaults)}); say with "
-            "--protocol whose verdicts are suc_f, suc_l and the metrics"
+            "--protocol whose verdicts are suc_f, suc_l, suc_a and the metrics"
         )
     return defaults[0]
 

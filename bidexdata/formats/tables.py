@@ -192,6 +192,13 @@ def with_fields(schema: pa.Schema, fields: Sequence[pa.Field]) -> pa.Schema:
     return pa.schema(fields, metadata=schema.metadata)
 
 
+def value_type(kind: pa.DataType) -> pa.DataType:
+    """Type of a column's numbers, whatever its shape."""
+    import pyarrow as pa
+
+    return kind.value_type if pa.types.is_fixed_size_list(kind) else kind
+
+
 def of_first_test(
     name: str, n: int, tests: Iterable[tuple[Mapping[str, np.ndarray], np.ndarray]]
 ) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -20,14 +21,16 @@ from made_release import (
     made_rows,
 )
 
-from bidexdata.errors import Contradiction, UnknownChoice, UnknownName
+from bidexdata.errors import Contradiction, NotUsable, UnknownChoice, UnknownName
 from bidexdata.formats import hdf5
+from bidexdata.formats.hdf5_writer import LIBRARY_VERSIONS
 from bidexdata.formats.release import Release, ReleaseRows
-from bidexdata.formats.tables import CONTACT_COLUMNS, GRASP_COLUMNS, VERDICT_COLUMNS
+from bidexdata.formats.rig_files import ReleaseRig
+from bidexdata.formats.tables import ARM_COLUMNS, CONTACT_COLUMNS, GRASP_COLUMNS, VERDICT_COLUMNS
 from bidexdata.formats.verify import verify_release
 from bidexdata.formats.writer import check_names
 from bidexdata.record import FIELDS, GraspBatch, Header, Status
-from bidexdata.record.batch import fill_value
+from bidexdata.record.batch import ArmHeader, fill_value
 
 OBJECT = OBJECTS[0]
 FORMS = ("both", "parquet", "hdf5")
@@ -55,10 +58,22 @@ def same_table(a: pa.Table, b: pa.Table) -> bool:
     return all(bits(a.column(name)) == bits(b.column(name)) for name in a.column_names)
 
 
-def arbitrary_rows(object_id: str, seed: int, n: int, hands, *, contacts=True) -> ReleaseRows:
+ARMS = tuple(
+    ArmHeader(
+        "made", "a" * 64, side, tuple(f"{side}_{k}" for k in range(joints)), 0, (2, 1, 1, 1, 1)
+    )
+    for side, joints in (("left", 3), ("right", 2))
+)
+"""Of two arms of different length, so that columns are padded."""
+
+
+def arbitrary_rows(
+    object_id: str, seed: int, n: int, hands, *, contacts=True, arms=()
+) -> ReleaseRows:
     """Rows whose numbers are random bits: NaN payloads, infinities and subnormals included."""
     rng = np.random.default_rng(seed)
-    header = Header(tuple(h.header() for h in hands), counts={f"{object_id}/300/float": {"ok": n}})
+    counts = {f"{object_id}/300/float": {"ok": n}}
+    header = Header(tuple(h.header() for h in hands), counts=counts, arms=arms)
 
     def column(name):
         field, shape = FIELDS[name], (n, *header.shape(FIELDS[name]))
@@ -81,7 +96,10 @@ def arbitrary_rows(object_id: str, seed: int, n: int, hands, *, contacts=True) -
     columns["synth_status"] = np.full(n, Status.OK, np.int8)
     verdicts = {name: column(name) for name in VERDICT_COLUMNS}
     verdicts["verdict_status"] = rng.choice([Status.OK, Status.SLIP], n).astype(np.int8)
-    return ReleaseRows("run", GraspBatch(header, columns), {PAPER_F: verdicts})
+    solved = {name: column(name) for name in ARM_COLUMNS} if arms else {}
+    if arms:
+        solved["arm_status"] = rng.choice([Status.OK, Status.IK_GRASP], n).astype(np.int8)
+    return ReleaseRows("run", GraspBatch(header, columns), {PAPER_F: verdicts}, solved)
 
 
 # One example packs a whole release: shrinking would pack hundreds.
@@ -92,29 +110,35 @@ def arbitrary_rows(object_id: str, seed: int, n: int, hands, *, contacts=True) -
     phases=[Phase.explicit, Phase.generate],
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
-@example(seed=0, n=0, one_hand=False, contacts=True)
-@example(seed=1, n=3, one_hand=True, contacts=False)
-@example(seed=679, n=5, one_hand=False, contacts=True)  # quaternions whose product underflows
+@example(seed=0, n=0, one_hand=False, contacts=True, armed=True)
+@example(seed=1, n=3, one_hand=True, contacts=False, armed=False)
+@example(seed=2, n=4, one_hand=False, contacts=True, armed=True)
+@example(seed=679, n=5, one_hand=False, contacts=True, armed=False)  # whose products underflow
 @given(
     seed=st.integers(0, 2**32),
     n=st.integers(0, 5),
     one_hand=st.booleans(),
     contacts=st.booleans(),
+    armed=st.booleans(),
 )
 @pytest.mark.filterwarnings("ignore:invalid value")
-def test_every_field_comes_back_bit_for_bit(tmp_path_factory, form, seed, n, one_hand, contacts):
+def test_every_field_comes_back_bit_for_bit(
+    tmp_path_factory, form, seed, n, one_hand, contacts, armed
+):
     object_id = "größe-0badf00d"
     hands = (made_hand("right"),) if one_hand else made_hands()
-    rows = arbitrary_rows(object_id, seed, n, hands, contacts=contacts)
+    arms = ARMS if armed and not one_hand else ()
+    rows = arbitrary_rows(object_id, seed, n, hands, contacts=contacts, arms=arms)
     out = made_release(
         tmp_path_factory.mktemp("bits") / "release",
         (object_id,),
         rows_of=lambda _: [rows],
         hands=hands,
         form=form,
+        rig=ReleaseRig(arms, {"name": "made"}, "") if arms else None,
     )
     release = Release.open(out)
-    assert release.form == form
+    assert (release.form, release.header.arms) == (form, arms)
     assert release.hands == tuple(h.header() for h in hands)
     for configuration in release.configurations:
         read = release.grasps(configuration=configuration)
@@ -124,6 +148,9 @@ def test_every_field_comes_back_bit_for_bit(tmp_path_factory, form, seed, n, one
         assert set(read.columns) == set(expected)
         for name, value in expected.items():
             assert same_bits(read[name], value[mine]), name
+        solved = release.with_arms(read) if arms else read
+        for name, value in rows.arms.items():
+            assert same_bits(solved[name], value[mine]), name
         numbers = [n for n in expected if expected[n].dtype.kind in "if" and n in known(release)]
         mapped = hdf5.map_columns(out, configuration, "train", numbers)
         for name in numbers:
@@ -248,6 +275,33 @@ def test_columns_that_are_not_there_are_named(packed, tmp_path):
     bare = made_release(tmp_path / "r", (OBJECT,), form="parquet")
     with pytest.raises(UnknownName, match="grasp_id"):
         hdf5.map_columns(bare, "selected", "train", ["grasp_id"])
+
+
+@pytest.mark.parametrize("part", ["values", "contacts"])
+def test_a_partial_download_is_named_with_what_reads_it(tmp_path, part):
+    out = made_release(tmp_path / "r", form="parquet")
+    table = {"values": "grasps"}.get(part, part)
+    name = f"{table}/train-00000.parquet"
+    (out / name).unlink()
+    column = {"values": "seed"}.get(part, "contact_index")
+    for read in (
+        lambda: hdf5.read_values(out, "selected", "train", part),
+        lambda: hdf5.map_columns(out, "selected", "train", [column]),
+    ):
+        with pytest.raises(NotUsable, match=f"{name} is not there.*BiDexStream"):
+            read()
+    alone = made_release(tmp_path / "alone", form="hdf5")
+    (alone / "grasps.h5").unlink()
+    with pytest.raises(NotUsable, match=r"grasps\.h5 is not there"):
+        hdf5.read_values(alone, "selected", "train", part)
+
+
+def test_the_training_form_is_of_the_file_versions_that_the_format_page_states(packed):
+    data = (packed / "grasps.h5").read_bytes()[:9]
+    assert data == b"\x89HDF\r\n\x1a\n\x03"  # superblock 3: version 1.10 of the library and later
+    page = (Path(__file__).parents[2] / "docs" / "format.md").read_text(encoding="utf-8")
+    assert 'libver=("v110", "v114")' in page
+    assert LIBRARY_VERSIONS == ("v110", "v114")
 
 
 @pytest.mark.parametrize("cut", [100, 5000])

@@ -115,11 +115,7 @@ def test_what_is_no_parquet_file_is_refused(tmp_path, content):
             read(file)
 
 
-@pytest.mark.usefixtures("small_groups")
-def test_groups_are_found_by_statistics(tmp_path):
-    (file,) = write(tmp_path, [rows("a", 0, 100), rows("b", 100, 100), rows("c", 200, 10)])
-    found = parquet.groups_with(file, "object_id", "b", "b")
-    assert found == [1, 2, 3]
-    read = pa.concat_tables(list(parquet.read_groups(file, ["object_id"], found)))
-    assert read.column("object_id").to_pylist().count("b") == 100
-    assert parquet.groups_with(file, "object_id", "zz", "zz") == []
+@pytest.mark.parametrize("read", [parquet.read_table, parquet.read_schema, parquet.row_counts])
+def test_a_missing_file_is_not_called_damaged(tmp_path, read):
+    with pytest.raises(Contradiction, match=r"scenes\.parquet is missing$"):
+        read(tmp_path / "scenes.parquet")
