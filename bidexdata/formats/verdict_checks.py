@@ -129,9 +129,9 @@ def verdicts(release: Release, resimulate: Resimulate, sample: int, seed: int) -
             notes |= dict.fromkeys(_judge(release, resimulate, test, configuration, rows))
         counts = [f"{len(rows)} {c}" for c, rows in chosen.items()]
         said.append(f"{' and '.join(counts)} rows of test {test}")
-    if not said:
-        return "no row has a verdict to be judged again"
-    return f"{', '.join(said)} judged again with the stored verdict{''.join(notes)}"
+    again = f"{', '.join(said)} judged again with the stored verdict"
+    none = "no row has a verdict to be judged again"
+    return (again if said else none) + "".join(notes)
 
 
 def _drawn(

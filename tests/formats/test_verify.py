@@ -1,8 +1,11 @@
 """Every damage is found: by a hash where bytes changed, by a law where a sealed release lies."""
 
+import inspect
 import json
 import os
+import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +13,7 @@ import pyarrow as pa
 import pytest
 from made_release import (
     OBJECTS,
+    PAPER_F,
     PER_SCENE,
     SIZES,
     as_schema_1_0,
@@ -19,7 +23,7 @@ from made_release import (
 from sealing import failed, put, reseal, rewrite, swap_rows
 
 from bidexdata.errors import Contradiction, NotUsable, PathNotFound
-from bidexdata.formats import parquet
+from bidexdata.formats import parquet, verify
 from bidexdata.formats.hdf5 import rebuild_training_form
 from bidexdata.formats.release import Release, ReleaseRows
 from bidexdata.formats.verify import Judged, verify_release
@@ -284,6 +288,36 @@ def test_verdicts_of_another_engine_are_not_judged_again(tmp_path):
     report = verify_release(out, full=True, resimulate=never)
     assert report.ok, failed(report)
     assert "not judged again" in report.checks[-1].detail
+
+
+def test_a_release_of_test_a_alone_says_why_nothing_is_judged_again(tmp_path):
+    with_arms = ("paper-1", "a")
+
+    def rows(object_id):
+        made = made_rows(object_id)
+        return [replace(made, verdicts={with_arms: made.verdicts[PAPER_F]})]
+
+    out = made_release(tmp_path / "r", OBJECTS[:1], rows_of=rows, tests=[with_arms])
+
+    def never(*_):
+        raise AssertionError("a release has no models of arms")
+
+    report = verify_release(out, full=True, resimulate=never)
+    assert report.ok, failed(report)
+    assert report.checks[-1].detail == (
+        "no row has a verdict to be judged again; test a not, for a release has no models of arms"
+    )
+
+
+def test_every_law_stands_on_the_page():
+    source = inspect.getsource(verify)
+    laws = set(re.findall(r'\("([a-z ]+)", lambda|Check\(\s*"([a-z ]+)"', source))
+    named = {a or b for a, b in laws}
+    assert {"manifest", "files", "arms", "hands on arms", "verdicts"} <= named
+    page = (Path(__file__).parents[2] / "docs" / "verifying.md").read_text(encoding="utf-8")
+    tables = page.split("| law | what holds |")[1:]
+    listed = [re.findall(r"^\| `([a-z ]+)` \|", t.split("\n\n")[0], re.M) for t in tables]
+    assert named == {law for laws in listed for law in laws}
 
 
 def test_untested_rows_are_not_judged_again(tmp_path):
