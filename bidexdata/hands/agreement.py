@@ -66,7 +66,7 @@ def check_mirror(
     shapes = body_shapes(models[0]), body_shapes(models[1])
     off = [shape_difference(shapes[0][b], shapes[1][twin[b]], T[b]) for b in range(len(twin))]
     for c, b in enumerate(written.contact_body):
-        if _pad_difference(spec, written, other, c, shapes) > PAD_SHAPE:
+        if _pad_difference(written, other, c, shapes) > PAD_SHAPE:
             faults.append(
                 f"the pad of contact {written.contact_names[c]} on {other.body_names[twin[b]]} is not "
                 f"the mirror image of its twin; {advice}"
@@ -126,9 +126,7 @@ def _largest_way(spec: HandSpec, written: Hand, other: Hand) -> tuple[float, str
     return float(way[at]), other.body_names[twin[body[at]]]
 
 
-def _pad_difference(
-    spec: HandSpec, written: Hand, other: Hand, contact: int, shapes: tuple[list, list]
-) -> float:
+def _pad_difference(written: Hand, other: Hand, contact: int, shapes: tuple[list, list]) -> float:
     """Difference of the two pads' surfaces where the contact normal leaves them [m]."""
     there, here = written.contact_body[contact], other.contact_body[contact]
     if not (shapes[0][there] and shapes[1][here]):

@@ -165,7 +165,7 @@ class Assembly:
         total = np.broadcast_to(np.eye(3), (count, 3, 3))
         if self.pair is not None:
             chosen = draw_mirrored(options.seed, epoch, key)
-            image, across = mirror(kept, self.pair, options.frame)
+            image, across = mirror(kept, self.pair)
             kept = {n: _where(chosen, image[n], kept[n]) for n in kept}
             total = np.where(chosen[:, None, None], across, total)
             extra = {**extra, "mirrored": chosen}

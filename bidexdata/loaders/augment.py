@@ -96,13 +96,13 @@ def turn_about_gravity(
     return out, R
 
 
-def mirror(columns: Columns, pair: HandPair, frame: str) -> tuple[Columns, np.ndarray]:
+def mirror(columns: Columns, pair: HandPair) -> tuple[Columns, np.ndarray]:
     """Give the mirror image of grasps: of a mirrored object, held by swapped hands.
 
     Args:
-        columns: Columns of n grasps, hand poses in `frame`.
+        columns: Columns of n grasps; the frame of the hand poses, `object` or `world`, is
+            reflected y -> -y.
         pair: The hands.
-        frame: `object` or `world`; both are reflected y -> -y.
 
     Returns:
         The columns, and the reflection of what else is in the frame (clouds), (3, 3).

@@ -289,7 +289,7 @@ def _written(
         files += [folder / "energies.png", folder / "energies.csv"]
     files.append(folder / "explain.md")
     report = dataclasses.replace(report, files=tuple(files))
-    write_text(folder / "explain.md", explain_page(report, hands, run.fingerprint))
+    write_text(folder / "explain.md", explain_page(report, run.fingerprint))
     return report
 
 

@@ -15,7 +15,6 @@ from bidexdata.synthesis.trace import TERMS, Trace
 from bidexdata.wording import counted
 
 if TYPE_CHECKING:
-    from bidexdata.hands.model import Hand
     from bidexdata.runs.explain import ExplainReport
     from bidexdata.synthesis.explain import Explanation
 
@@ -60,7 +59,7 @@ def headline(report: ExplainReport) -> list[str]:
     ]
 
 
-def explain_page(report: ExplainReport, hands: Sequence[Hand], run_fingerprint: str) -> str:
+def explain_page(report: ExplainReport, run_fingerprint: str) -> str:
     """The whole explanation in Markdown."""
     one = report.explanation
     parts = [
