@@ -24,7 +24,7 @@ from bidexdata.loaders.collation import RowBatch, as_tensordict
 from bidexdata.loaders.filters import Where, columns_named, matching_rows, rows_by_function
 from bidexdata.loaders.items import GraspItem
 from bidexdata.loaders.options import DEFAULT_FIELDS as DEFAULT_FIELDS
-from bidexdata.loaders.options import ItemOptions, require_torch
+from bidexdata.loaders.options import ItemOptions, names_of, require_torch
 from bidexdata.loaders.row_source import RowSource
 from bidexdata.loaders.stored import ScalarColumns, refuse_arms
 from bidexdata.record.fields import TESTS
@@ -118,7 +118,7 @@ class BiDexDataset:
         if configuration not in CONFIGURATIONS:
             raise UnknownName("configuration", configuration, CONFIGURATIONS)
         self.options = ItemOptions(
-            fields=tuple(fields) if fields is not None else DEFAULT_FIELDS,
+            fields=names_of("fields", DEFAULT_FIELDS if fields is None else fields),
             frame=frame,
             cloud=cloud,
             points=points,
@@ -126,7 +126,7 @@ class BiDexDataset:
             clouds=clouds,
             quat_order=quat_order,
             rotation=rotation,
-            augment=tuple(augment),
+            augment=names_of("augment", augment),
             seed=seed,
         )
         self.epoch, self.transform = 0, transform

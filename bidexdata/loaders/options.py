@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 
@@ -78,6 +78,17 @@ class ItemOptions:
         if self.augment and set(HAND_POSES) & set(self.fields):
             wanted += HAND_POSES
         return tuple(n for n in dict.fromkeys(wanted) if n not in self.fields)
+
+
+def names_of(option: str, given: Sequence[str]) -> tuple[str, ...]:
+    """The names that an option lists.
+
+    Raises:
+        BadConfig: It is one text, which would be taken letter by letter.
+    """
+    if isinstance(given, str):
+        raise BadConfig(f"{option} is a list of names: {option}=[{given!r}], not {given!r}")
+    return tuple(given)
 
 
 def require_torch() -> None:

@@ -273,6 +273,11 @@ def _masked(values: np.ndarray, *, boolean: bool) -> pa.Array:
     return pa.array(np.asarray(values))
 
 
+def scalar_columns(schema: pa.Schema) -> list[str]:
+    """Columns of one value per row, in order: those that `where` may name."""
+    return list(_scalar_types(schema))
+
+
 def _scalar_types(schema: pa.Schema) -> dict[str, str]:
     import pyarrow as pa
 

@@ -28,9 +28,9 @@ from bidexdata.formats.tables import (
 )
 from bidexdata.loaders.assembly import Assembly, Gathered, Selection, columns_needed
 from bidexdata.loaders.filters import Where, columns_named, matching_rows
-from bidexdata.loaders.options import DEFAULT_FIELDS, ItemOptions, require_torch
+from bidexdata.loaders.options import DEFAULT_FIELDS, ItemOptions, names_of, require_torch
 from bidexdata.loaders.permutation import permuted
-from bidexdata.loaders.stored import refuse_arms
+from bidexdata.loaders.stored import refuse_arms, scalar_columns
 from bidexdata.record.fields import columns_of_table
 from bidexdata.wording import counted
 
@@ -53,6 +53,16 @@ class _Group(NamedTuple):
     """Rows of it that `where` keeps, ascending."""
     first: int
     """Number of its first row among all rows of the files that are there."""
+
+
+class _Window(NamedTuple):
+    """Rows that are shuffled with each other."""
+
+    first: int
+    """Place of the first of them in the epoch's order."""
+    count: int
+    groups: list[int]
+    """Numbers of the row groups they are of."""
 
 
 class BiDexStream(IterableDataset[dict[str, Any]]):
@@ -111,16 +121,23 @@ class BiDexStream(IterableDataset[dict[str, Any]]):
         self.batch_size, self.buffer, self.shuffle, self.seed = batch_size, buffer, shuffle, seed
         self.rank, self.world_size = rank, world_size
         self.split, self.configuration, self.epoch = split, configuration, 0
-        chosen = DEFAULT_FIELDS if fields is None else tuple(fields)
-        self.options = ItemOptions(fields=chosen, seed=seed, **options)
+        options["fields"] = names_of("fields", DEFAULT_FIELDS if fields is None else fields)
+        options["augment"] = names_of("augment", options.get("augment", ()))
+        self.options = ItemOptions(seed=seed, **options)
         self._start = 0
         files = self._files_there()
-        schema = {f.name for f in parquet.read_schema(files[0])}
+        stored = parquet.read_schema(files[0])
+        schema = {f.name for f in stored}
         self._on_table = "tabletop" in self.release.scenes.column("setting").to_pylist()
         self._columns = self._where_from(schema)
-        self._groups = self._row_groups(files, where)
+        scalar = scalar_columns(stored)
+        if arms_tables(self.release.header):
+            scalar += [name for name in ARM_COLUMNS if not column_field(name).shape]
+        self._groups = self._row_groups(files, where, scalar)
         self._assembly: Assembly | None = None
         self._window: tuple[tuple[int, int, int], pa.Table, np.ndarray] | None = None
+        self._plan: tuple[tuple[int, int], list[_Window]] | None = None
+        self._numbers: dict[str, int] | None = None
 
     def __len__(self) -> int:
         """Batches that this rank still gets in this epoch, of all its workers together.
@@ -164,7 +181,8 @@ class BiDexStream(IterableDataset[dict[str, Any]]):
 
     def __getstate__(self) -> dict[str, Any]:
         # Workers read for themselves.
-        return {**self.__dict__, "release": self.release.path, "_assembly": None, "_window": None}
+        made = dict.fromkeys(("_assembly", "_window", "_plan", "_numbers"))
+        return {**self.__dict__, "release": self.release.path, **made}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -213,11 +231,18 @@ class BiDexStream(IterableDataset[dict[str, Any]]):
         more = {table: [n for n in names if n in columns] for table, columns in others.items()}
         return {"grasps": list(dict.fromkeys(mine)), **more}
 
-    def _row_groups(self, files: Sequence[Path], where: Where) -> list[_Group]:
+    def _row_groups(
+        self, files: Sequence[Path], where: Where, scalar: Sequence[str]
+    ) -> list[_Group]:
         named = columns_named(where)
         if named is None:
             raise BadConfig("a stream takes an expression or a dictionary as where, no function")
         refuse_arms(self.release, named)
+        for name in named:
+            if name not in scalar:
+                raise UnknownName("column", name, scalar, "in where")
+        if where is not None and not named:
+            named = ["size_mm"]  # without a column there is no length; any will do
         of_arms = [n for n in named if n in ARM_COLUMNS]
         columns = {"grasps": [n for n in named if n not in of_arms]}
         columns |= dict.fromkeys(arms_tables(self.release.header), of_arms)
@@ -238,43 +263,39 @@ class BiDexStream(IterableDataset[dict[str, Any]]):
         if self._assembly is None:
             self._assembly = Assembly(self.release, self.options, on_table=self._on_table)
         parts: list[tuple[pa.Table, np.ndarray]] = []
-        for number, start, count in self._windows():
-            a, b = max(low - start, 0), min(high - start, count)
+        for number, window in enumerate(self._windows()):
+            a, b = max(low - window.first, 0), min(high - window.first, window.count)
             if a >= b:
                 continue
-            table, rows = self._load(number)
+            table, rows = self._load(number, window)
             places = np.arange(a, b)
             if self.shuffle:
-                places = permuted(places, count, self.seed, self.epoch, number)
+                places = permuted(places, window.count, self.seed, self.epoch, number)
             parts.append((table.take(places), rows[places]))
         import pyarrow as pa
 
         table = pa.concat_tables([part for part, _ in parts])
         rows = np.concatenate([rows for _, rows in parts])
-        ids = {object_id: k for k, object_id in enumerate(self.release.object_ids)}
-        objects = np.array([ids[i] for i in table.column("object_id").to_pylist()], np.int64)
+        if self._numbers is None:
+            self._numbers = {object_id: k for k, object_id in enumerate(self.release.object_ids)}
+        ids = table.column("object_id").to_pylist()
+        objects = np.array([self._numbers[i] for i in ids], np.int64)
         found, text = self._arrays(table)
         return self._assembly.batch(Gathered(found, text, Selection(rows, objects)), self.epoch)
 
-    def _windows(self) -> list[tuple[int, int, int]]:
-        """Number, first place and number of rows of each window of this epoch."""
-        found, start, count, number = [], 0, 0, 0
-        for k in self._order():
-            count += len(self._groups[k].kept)
-            if count >= self.buffer:
-                found.append((number, start, count))
-                start, count, number = start + count, 0, number + 1
-        return [*found, (number, start, count)] if count else found
-
-    def _groups_of(self, window: int) -> list[_Group]:
-        count, number, found = 0, 0, []
-        for k in self._order():
-            if number == window:
-                found.append(self._groups[k])
-            count += len(self._groups[k].kept)
-            if count >= self.buffer:
-                count, number = 0, number + 1
-        return found
+    def _windows(self) -> list[_Window]:
+        """The windows of this epoch, found once."""
+        key = (self.seed, self.epoch)
+        if self._plan is None or self._plan[0] != key:
+            found, first, count, groups = [], 0, 0, []
+            for k in self._order():
+                count += len(self._groups[k].kept)
+                groups.append(k)
+                if count >= self.buffer:
+                    found.append(_Window(first, count, groups))
+                    first, count, groups = first + count, 0, []
+            self._plan = (key, [*found, _Window(first, count, groups)] if count else found)
+        return self._plan[1]
 
     def _order(self) -> list[int]:
         numbers = np.arange(len(self._groups))
@@ -282,14 +303,14 @@ class BiDexStream(IterableDataset[dict[str, Any]]):
             numbers = permuted(numbers, len(numbers), self.seed, self.epoch)
         return numbers.tolist()
 
-    def _load(self, window: int) -> tuple[pa.Table, np.ndarray]:
+    def _load(self, number: int, window: _Window) -> tuple[pa.Table, np.ndarray]:
         """The chosen rows of a window, and their numbers; the last one is kept in memory."""
         import pyarrow as pa
 
-        key = (window, self.seed, self.epoch)
+        key = (number, self.seed, self.epoch)
         if self._window is None or self._window[0] != key:
             self._window = None  # before the next is read: two would be held
-            groups = self._groups_of(window)
+            groups = [self._groups[k] for k in window.groups]
             tables = [
                 _read(group.file, self._columns, group.number).take(group.kept)
                 for group in groups

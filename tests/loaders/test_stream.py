@@ -11,7 +11,7 @@ from torch.utils.data import DataLoader
 from bidexdata.errors import BadConfig, NotUsable, UnknownName
 from bidexdata.formats import parquet
 from bidexdata.formats.release import Release
-from bidexdata.loaders import BiDexDataset, BiDexStream, Prefetch, expand_clouds
+from bidexdata.loaders import BiDexCases, BiDexDataset, BiDexStream, Prefetch, expand_clouds
 
 FIELDS = ("grasp_id", "hand_pos", "hand_quat_wxyz", "joints", "contact_point", "contact_index",
           "suc_f", "size", "size_mm", "scene_id")  # fmt: skip
@@ -131,6 +131,56 @@ def test_where_chooses_the_same_rows_as_in_a_dataset(many):
     assert stream.rows == len(data)
     assert sorted(ids(stream)) == sorted(item["grasp_id"] for item in data)
     assert list(BiDexStream(many, where="size_mm > 10000", **OPTIONS)) == []
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        "1 > 2",
+        "1 < 2",
+        {},
+        "joints > 2",
+        "sucf",
+        {"sizes": 1},
+        "size_mm > 'a'",
+        "size_mm +",
+        "not " * 999 + "suc_f",
+    ],
+)
+def test_where_does_and_says_what_it_does_in_a_dataset(many, where):
+    found = []
+    for kind in (BiDexDataset, BiDexStream):
+        try:
+            data = kind(many, where=where, **OPTIONS)
+            found.append(data.rows if kind is BiDexStream else len(data))
+        except (BadConfig, UnknownName) as err:
+            found.append((type(err), str(err)))
+    assert found[0] == found[1]
+
+
+def test_a_split_without_rows_gives_no_batch(tmp_path):
+    root = made_release(tmp_path / "r", OBJECTS[:1])
+    for where in (None, "suc_f"):
+        assert list(BiDexStream(root, split="test", where=where)) == []
+
+
+def test_the_order_and_the_numbers_of_objects_are_found_once_per_epoch(many, monkeypatch):
+    orders, plain = [], BiDexStream._order
+    monkeypatch.setattr(BiDexStream, "_order", lambda s: orders.append(s.epoch) or plain(s))
+    stream = BiDexStream(many, batch_size=2, buffer=6, **OPTIONS)
+    assert len(ids(stream)) > 20
+    numbers = stream._numbers
+    stream.set_epoch(1)
+    assert len(ids(stream)) > 20
+    assert orders == [0, 1]
+    assert stream._numbers is numbers
+
+
+@pytest.mark.parametrize("kind", [BiDexDataset, BiDexStream, BiDexCases])
+@pytest.mark.parametrize(("option", "word"), [("fields", "joints"), ("augment", "yaw")])
+def test_a_text_in_place_of_a_list_is_refused_with_the_list_shown(many, kind, option, word):
+    with pytest.raises(BadConfig, match=rf"{option}=\['{word}'\]"):
+        kind(many, **{option: word})
 
 
 @pytest.mark.parametrize(
