@@ -19,7 +19,11 @@ def pack(
     name: Annotated[str, typer.Option(help="Name of the data set.")],
     version: Annotated[str, typer.Option(metavar="X.Y.Z", help="Version of the data set.")],
     form: Annotated[
-        str, typer.Option(help="both, or parquet without the training form grasps.h5.")
+        str,
+        typer.Option(
+            help="parquet, hdf5 (all rows in grasps.h5 alone), or both: Parquet and grasps.h5 as its "
+            "training form."
+        ),
     ] = "both",
     licences: Annotated[
         str,
@@ -34,7 +38,7 @@ def pack(
     protocol: Annotated[
         str | None,
         typer.Option(
-            help="Whose verdicts are suc_f, suc_l and the metrics; paper-1, or the only one, when "
+            help="Whose verdicts are suc_f, suc_l, suc_a and the metrics; paper-1, or the only one, when "
             "left out. The tables hold those of every protocol."
         ),
     ] = None,
