@@ -58,9 +58,11 @@ class IkConfig:
         refuse_outside(self, "starts", 1, 1024)
         refuse_outside(self, "pool", self.starts, 65_536)
         refuse_outside(self, "iterations", 1, 10_000)
-        for name in ("tolerance_pos", "tolerance_rot", "accept_pos", "accept_rot", "length",
-                     "damping", "largest_step", "jump"):  # fmt: skip
+        for name in ("tolerance_pos", "tolerance_rot", "length", "damping", "largest_step", "jump"):
             refuse_outside(self, name, 1e-9, 10)
+        # Float32 angles place a hand to a micrometre; 1 cm beside its grasp is another grasp.
+        refuse_outside(self, "accept_pos", 1e-6, 0.01)
+        refuse_outside(self, "accept_rot", 1e-6, 0.1)
         refuse_outside(self, "damp_less", 1e-3, 1)
         refuse_outside(self, "damp_more", 1, 100)
         refuse_outside(self, "rest_gain", 0, 1)

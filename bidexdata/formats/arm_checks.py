@@ -5,6 +5,7 @@ Each function returns what it counted, or raises `Contradiction` with what is wr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -28,10 +29,12 @@ NONE_ASKED = fill_value(FIELDS["arm_status"])
 """`arm_status` of a row that the stage `arms` has not seen."""
 ANGLE = 1e-4
 """By how much float32 may take an angle beyond its limit, or a step from what is stated [rad]."""
-ACCEPT_POS = 1.1e-3
-"""Largest distance of a hand from where the grasp has it [m]: the solver accepts 1 mm."""
-ACCEPT_ROT = 0.0096
-"""Largest angle between them [rad]: the solver accepts half a degree, 0.0087."""
+ACCEPT = {"accept_pos": 1e-3, "accept_rot": math.radians(0.5)}
+"""How far a hand may be from where the grasp has it [m] [rad], where the rig does not say."""
+LARGEST = {"accept_pos": 0.01, "accept_rot": 0.1}
+"""What a rig may say of it at most: the solver takes no more."""
+SLACK = 1.1
+"""Factor beyond what the solver accepted, for what float32 and other engines add."""
 STAGE_OF = {"pregrasp": 0, "grasp": 1, "squeeze": 2}
 """Key frames at which the hands are where a stage of the grasp has them."""
 
@@ -77,6 +80,7 @@ def arm_poses(release: Release) -> str:
         return "none"
     document = read_rig_files(release.path, release.header.arms).document
     names = [name for name in STAGE_OF if name != "squeeze" or _palm_moves(document)]
+    accept_pos, accept_rot = _accepted(document)
     count, largest = 0, 0.0
     for group in _groups(release):
         ok = group.select(group.arms["arm_status"] == Status.OK)
@@ -90,10 +94,17 @@ def arm_poses(release: Release) -> str:
                 trace = np.einsum("nij,nij->n", rot, wanted)
                 angle = np.arccos(np.clip((trace - 1) / 2, -1, 1))
                 where = f"the {arm.side} hand is not at its {name}"
-                ok.refuse((off > ACCEPT_POS) | (angle > ACCEPT_ROT), where)
+                ok.refuse((off > accept_pos) | (angle > accept_rot), where)
                 largest = max(largest, float(off.max()))
         count += len(ok.ids)
     return f"hands of {counted(count, 'motion')} at most {1e3 * largest:.2f} mm from their grasps"
+
+
+def _accepted(document: Mapping[str, Any]) -> tuple[float, float]:
+    """How far a hand may be from where the grasp has it: distance [m] and angle [rad]."""
+    stated = document["config"].get("ik", {})
+    pos, rot = (min(stated.get(k, ACCEPT[k]), LARGEST[k]) for k in ("accept_pos", "accept_rot"))
+    return SLACK * pos, SLACK * rot
 
 
 def _palm_moves(document: Mapping[str, Any]) -> bool:

@@ -12,10 +12,11 @@ from made_armed import made_run, write_rig
 
 from bidexdata.arms.chain import chain_forward
 from bidexdata.arms.config import ArmConfig
+from bidexdata.arms.inverse_kinematics import IkConfig
 from bidexdata.arms.solutions import no_solutions
 from bidexdata.cli.main import run as bidexdata
-from bidexdata.errors import NotUsable, UnknownName
-from bidexdata.formats.arm_checks import NONE_ASKED, arm_poses, arm_rows
+from bidexdata.errors import BadConfig, Contradiction, NotUsable, UnknownName
+from bidexdata.formats.arm_checks import LARGEST, NONE_ASKED, arm_poses, arm_rows
 from bidexdata.formats.content_hash import content_hash
 from bidexdata.formats.release import Release
 from bidexdata.formats.rig_files import hand_poses, read_rig_files
@@ -216,8 +217,40 @@ def test_a_hand_elsewhere_is_found(solved: Run, tmp_path):
     moved["hand_pos"][:, 1, 1, 0] += 0.01
     write_shard(path, GraspBatch(batch.header, moved).to_arrow(), solved.fingerprint)
     pack_runs([solved.path], tmp_path / "release", form="parquet", **PACK)
-    with pytest.raises(Exception, match="the right hand is not at its grasp"):
-        arm_poses(Release.open(tmp_path / "release"))
+    release = Release.open(tmp_path / "release")
+    with pytest.raises(Contradiction, match="the right hand is not at its grasp"):
+        arm_poses(release)
+
+
+@pytest.mark.parametrize(("accepted", "legal"), [(0.004, False), (0.0092, True), (1.0, False)])
+def test_a_hand_may_be_as_far_off_as_the_solver_was_told_to_accept(
+    solved: Run, tmp_path, accepted, legal
+):
+    off = 0.01 if accepted < 0.01 else 0.02  # beyond 1 cm no rig is believed
+    path = shard_path(solved.stage_folder("rows"), solved.tasks[0].task_id)
+    batch = GraspBatch.from_arrow(read_shard(path))
+    moved = {n: c.copy() for n, c in batch.columns.items()}
+    moved["hand_pos"][:, 1, 1, 0] += off
+    write_shard(path, GraspBatch(batch.header, moved).to_arrow(), solved.fingerprint)
+    pack_runs([solved.path], tmp_path / "release", form="parquet", **PACK)
+    release = Release.open(tmp_path / "release")
+    rig = release.path / "rigs" / "made" / "rig.json"
+    document = json.loads(rig.read_text())
+    document["config"]["ik"]["accept_pos"] = accepted
+    rig.write_text(json.dumps(document))
+    if legal:
+        assert "at most 10.00 mm" in arm_poses(release)
+    else:
+        with pytest.raises(Contradiction, match="the right hand is not at its grasp"):
+            arm_poses(release)
+
+
+@pytest.mark.parametrize("name", ["accept_pos", "accept_rot"])
+@pytest.mark.parametrize("value", [0.0, 1e-9, 0.2, 10.0])
+def test_what_the_solver_accepts_has_a_sensible_range(name, value):
+    with pytest.raises(BadConfig, match=f"{name} must lie between"):
+        IkConfig(**{name: value})
+    assert IkConfig(**{name: LARGEST[name]})  # the most that verify believes
 
 
 def test_run_and_release_export_the_same_motions(solved: Run, tmp_path, capsys):
