@@ -60,7 +60,7 @@ class _Window(NamedTuple):
 
     first: int
     """Place of the first of them in the epoch's order."""
-    count: int
+    rows: int
     groups: list[int]
     """Numbers of the row groups they are of."""
 
@@ -264,13 +264,13 @@ class BiDexStream(IterableDataset[dict[str, Any]]):
             self._assembly = Assembly(self.release, self.options, on_table=self._on_table)
         parts: list[tuple[pa.Table, np.ndarray]] = []
         for number, window in enumerate(self._windows()):
-            a, b = max(low - window.first, 0), min(high - window.first, window.count)
+            a, b = max(low - window.first, 0), min(high - window.first, window.rows)
             if a >= b:
                 continue
             table, rows = self._load(number, window)
             places = np.arange(a, b)
             if self.shuffle:
-                places = permuted(places, window.count, self.seed, self.epoch, number)
+                places = permuted(places, window.rows, self.seed, self.epoch, number)
             parts.append((table.take(places), rows[places]))
         import pyarrow as pa
 
