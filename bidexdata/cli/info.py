@@ -47,7 +47,7 @@ def info(
     failures (source_name, status, reason), warnings (source_name, warning); a run: fingerprint,
     hand, method, preset, changed (keys that --set changed), setting, rest_poses, without_scene (objects that no scene could be made of),
     without_grasp (scenes that no grasp was kept of), sizes_mm, grasps, candidates, seed, objects,
-    tasks, rig (whose arms the figures of test a are), done (per stage), made_with (per stage: a list of tasks, device, device_name and package
+    tasks, rig (whose arms the figures of test a are), made_for (the rig of synth --rig), done (per stage), made_with (per stage: a list of tasks, device, device_name and package
     versions), figures, protocols; a release: name, version, schema_version, default_protocol,
     tests, splits, hands, protocol (whose figures), figures. With --by also: by, groups (per protocol, test and group: rows, objects, selected,
     metrics).

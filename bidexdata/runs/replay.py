@@ -148,7 +148,7 @@ def replay_grasp(
 
 def fps_of(test: str) -> float:
     """Pictures per second of a film of a test."""
-    return ARM_FPS if test in WITH_ARMS else FPS
+    return ARM_FPS if test in WITH_ARMS else float(FPS)
 
 
 def _check_video(path: Path) -> None:

@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader
 
 from bidexdata import frames
 from bidexdata.errors import BadConfig, MissingExtra, UnknownName
-from bidexdata.formats.tables import CONTACT_COLUMNS, GRASP_COLUMNS, GRASP_EXTRAS
+from bidexdata.formats.tables import ARM_COLUMNS, CONTACT_COLUMNS, GRASP_COLUMNS, GRASP_EXTRAS
 from bidexdata.loaders import (
     BiDexCases,
     BiDexDataset,
@@ -162,7 +162,8 @@ def test_packed_contacts_are_the_padded_ones_without_padding(floating):
 
 
 def test_the_type_of_an_item_has_every_column():
-    columns = {*GRASP_COLUMNS, *CONTACT_COLUMNS, *(f.name for f in GRASP_EXTRAS), *MEASURED}
+    columns = {*GRASP_COLUMNS, *CONTACT_COLUMNS, *ARM_COLUMNS, *MEASURED}
+    columns |= {f.name for f in GRASP_EXTRAS}
     made = {"object_index", "cloud_solid", "cloud_mesh", "cloud_normal", "point_index", "mirrored"}
     forms = {
         f"{name}_{form}" for name in ("hand", "object") for form in ("quat_xyzw", "rot6d", "matrix")

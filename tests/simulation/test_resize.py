@@ -8,6 +8,7 @@ from box_solids import box_solid
 
 from bidexdata import prepare_object
 from bidexdata.frames import random_quat
+from bidexdata.objects.config import PrepareConfig, RestConfig, SdfConfig, SurfaceConfig
 from bidexdata.simulation.distances import measure_distances
 from bidexdata.simulation.resize import COMPILED_SIZE, SizedScenes
 from bidexdata.simulation.scene import build_scene
