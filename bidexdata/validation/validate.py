@@ -150,14 +150,17 @@ def arm_test_of_rows(batch: GraspBatch, solid: Solid, robot: Robot, protocol: Pr
 
 
 def grasp_of(batch: GraspBatch, row: int) -> Grasp:
-    """Read one row in float64, quaternions made exactly unit; the motion of arms where it has one."""
+    """Read one row in float64, quaternions made exactly unit; with a motion if arms are joined.
+
+    Rows of a release name its arms in their header also where their columns are left out.
+    """
     return Grasp(
         batch.object_pos[row].astype(np.float64),
         _unit(batch.object_quat_wxyz[row]),
         batch.hand_pos[row].astype(np.float64),
         _unit(batch.hand_quat_wxyz[row]),
         batch.joints[row].astype(np.float64),
-        _motion_of(batch, row) if batch.header.arms else None,
+        _motion_of(batch, row) if "arm_status" in batch else None,
     )
 
 
@@ -243,7 +246,7 @@ def _require_same(batch: GraspBatch, solid: Solid, hands: Sequence[Hand]) -> Non
 def _require_arms(batch: GraspBatch, robot: Robot | None, protocol: Protocol) -> None:
     """Refuse rows without arms, or with the motions of others or of another height."""
     arms = batch.header.arms
-    if robot is None or not arms:
+    if robot is None or not arms or "arm_status" not in batch:
         raise NotUsable(
             "a test with arms needs the arms' motions and their robot: `bidexdata arms` makes them"
         )
