@@ -37,13 +37,14 @@ def main(release: str, grasps: int = 8, steps: int = 60) -> None:
     # Rows are padded to the hand with the most joints and contact points.
     index = batch["contact_index"][:, hand].long()
     there, index = index >= 0, index.clamp(min=0)
-    centres = batch["contact_point"][:, hand]
-    centres = centres + radius[index][..., None] * batch["contact_normal"][:, hand]
+    # Padding is NaN. A mask behind a norm does not keep NaN out of its gradient: pick rows before.
+    point, normal = (batch[n][:, hand][there] for n in ("contact_point", "contact_normal"))
+    centres = point + radius[index[there]][:, None] * normal
 
     def gap(joints: torch.Tensor) -> torch.Tensor:
         pads = model(pos, quat, joints).contact_point
         chosen = pads.gather(1, index[..., None].expand(-1, -1, 3))
-        return (chosen - centres).norm(dim=-1)[there]
+        return (chosen[there] - centres).norm(dim=-1)
 
     stored = batch["joints"][:, hand, GRASP, : len(model.joint_names)]
     noise = torch.randn(stored.shape, generator=torch.Generator().manual_seed(0))

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -237,6 +238,16 @@ def made_release(out: Path, object_ids=OBJECTS, *, runs=None, **options) -> Path
     return out
 
 
+def made_lifted(out: Path) -> Path:
+    """Write a release of tabletop rows that test l alone judged."""
+
+    def lifted(object_id: str) -> list[ReleaseRows]:
+        rows = made_rows(object_id, setting="tabletop")
+        return [replace(rows, verdicts={("paper-1", "l"): rows.verdicts[PAPER_F]})]
+
+    return made_release(out, rows_of=lifted, tests=[("paper-1", "l")])
+
+
 def _fill_poses(c, pair, rng, ok, setting, led=None) -> None:
     n, k = len(ok), int(ok.sum())
     object_quat, object_pos = np.tile(frames.IDENTITY_QUAT, (n, 1)), np.zeros((n, 3))
@@ -286,4 +297,4 @@ def as_schema_1_0(root: Path) -> None:
     files, content = head.pop("files"), head.pop("content_hash")
     assert files
     assert content
-    write_manifest(root, {**head, "header": older(head["header"])})
+    write_manifest(root, {**head, "schema_version": "1.0", "header": older(head["header"])})

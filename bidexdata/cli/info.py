@@ -48,8 +48,8 @@ def info(
     hand, method, preset, changed (keys that --set changed), setting, rest_poses, without_scene (objects that no scene could be made of),
     without_grasp (scenes that no grasp was kept of), sizes_mm, grasps, candidates, seed, objects,
     tasks, rig (whose arms the figures of test a are), made_for (the rig of synth --rig), done (per stage), made_with (per stage: a list of tasks, device, device_name and package
-    versions), figures, protocols; a release: name, version, schema_version, default_protocol,
-    tests, splits, hands, protocol (whose figures), figures. With --by also: by, groups (per protocol, test and group: rows, objects, selected,
+    versions), unfinished (protocols whose validation was started and gave no verdict), figures, protocols; a release: name, version, schema_version, default_protocol,
+    tests, splits, hands, rig (empty without arms), protocol (whose figures), figures. With --by also: by, groups (per protocol, test and group: rows, objects, selected,
     metrics).
     """
     from bidexdata.runs.info import describe
@@ -110,6 +110,10 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
     for stage, done in data["done"].items():
         lines.append(f"{stage}: {done} of {counted(data['tasks'], 'task')} done")
         lines += [_made_with_line(kind) for kind in data["made_with"][stage]]
+    lines += [
+        f"validation by {name} was started and no task has a verdict: {data['path']}/logs says why"
+        for name in data["unfinished"]
+    ]
     sizes = data["figures"]["by_size"]
     diagnosis = [*attempt_lines(sizes), *energy_lines(sizes)]
     if not data["protocols"]:
@@ -143,6 +147,7 @@ def _release_lines(data: dict[str, Any]) -> list[str]:
     lines = [
         f"{data['path']}: release {data['name']} {data['version']} "
         f"(schema {data['schema_version']}), objects: {splits}; hands {', '.join(data['hands'])}"
+        f"{data['rig'] and '; arms of '}{data['rig']}"
     ]
     return lines + figure_lines(data["figures"], data["protocol"])
 

@@ -11,11 +11,21 @@ from string import Template
 from typing import Any
 
 from bidexdata.formats import parquet
-from bidexdata.formats.card_words import derived_text, holds_shapes, policy_text, split_text
+from bidexdata.formats.card_words import (
+    arms_text,
+    derived_text,
+    holds_shapes,
+    policy_text,
+    split_text,
+    success_text,
+    tests_of,
+)
 from bidexdata.formats.columns import release_columns
 from bidexdata.formats.figures import size_text
 from bidexdata.formats.hub import hub_metadata
 from bidexdata.formats.metric_text import metric_head, metric_text
+from bidexdata.formats.reach import ARM_RATES
+from bidexdata.formats.rig_files import read_rig_files
 from bidexdata.objects.sources.item import UNKNOWN
 from bidexdata.record import Header
 from bidexdata.record.fields import HEADLINE, METRICS
@@ -57,12 +67,16 @@ def rate_text(rate: Mapping[str, Any]) -> str:
 
 def _values(root: Path, head: Mapping[str, Any]) -> dict[str, Any]:
     figures, header = head["figures"], json.loads(head["header"])
+    tests = tests_of(head)
     return {
         "name": head["name"],
         "version": head["version"],
         "schema_version": head["schema_version"],
         "generator_version": head["generator"]["version"],
-        "default_protocol": head["default_protocol"],
+        "success_text": success_text(head),
+        "load_where": f', where="suc_{tests[0]}"' if tests else "",
+        "arm_axes": ", A arm joints, K key moments, W waypoints" if head.get("rigs") else "",
+        "arms": _arms(root, head),
         "objects": counted(figures["objects"], "object"),
         "scenes": counted(figures["scenes"], "scene"),
         "selected_rows": counted(figures["selected_rows"], "selected dexterous grasp"),
@@ -97,6 +111,11 @@ def _rates(figures: Mapping[str, Any]) -> str:
         for kind in ("unselected", "selected"):
             rows.append((f"{kind.capitalize()} SUC-{test.upper()}", rate_text(rates[kind])))
         rows.append((f"Object success, test `{test}`", rate_text(rates["object_success"])))
+        for name in (n for n in ARM_RATES if n in rates):
+            words = name.replace("_", " ")
+            for kind in ("unselected", "selected"):
+                label = f"{kind.capitalize()} {words}, test `{test}`"
+                rows.append((label, rate_text(rates[name][kind])))
         rows += _rates_apart(figures["by_setting"], test)
     rows.append(("Kept", _share(figures["kept"])))
     rows.append(("Rows stored", str(figures["n"])))
@@ -199,6 +218,14 @@ def _columns(head: Mapping[str, Any]) -> str:
         text = _markdown(("column", "type", "shape", "unit", "frame", "meaning"), rows)
         parts.append(f"<details><summary>{table}</summary>\n\n{text}\n\n</details>\n")
     return "\n".join(parts)
+
+
+def _arms(root: Path, head: Mapping[str, Any]) -> str:
+    """Which rigs the motions are for, and the licences of their arms; empty without arms."""
+    header = Header.from_json(head["header"])
+    return "".join(
+        arms_text(read_rig_files(root, header.arms).document) for _ in head.get("rigs", ())
+    )
 
 
 def _runs(root: Path) -> str:

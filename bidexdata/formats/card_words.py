@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bidexdata.formats.licences import IDS_ONLY, check_policy
+from bidexdata.record.fields import TESTS
 
 _SPLIT = {
     "object": "By object: no object and no mesh is in two splits",
@@ -43,6 +44,35 @@ def holds_shapes(manifest: Mapping[str, Any]) -> bool:
     if policy:
         check_policy(policy)
     return policy != IDS_ONLY
+
+
+def tests_of(head: Mapping[str, Any]) -> list[str]:
+    """Tests of the default protocol that the release has verdicts of, in their order."""
+    return [t for t in TESTS if [head["default_protocol"], t] in [list(k) for k in head["tests"]]]
+
+
+def success_text(head: Mapping[str, Any]) -> str:
+    """Say what counts as a success where a row of the figures does not say."""
+    tests, protocol = tests_of(head), head["default_protocol"]
+    if not tests:
+        return f"Nothing was tested by protocol `{protocol}`."
+    return f"Success is test `{tests[0]}` of protocol `{protocol}` unless a row says otherwise."
+
+
+def arms_text(rig: Mapping[str, Any]) -> str:
+    """Describe the rig whose motions `arms/` holds, from its `rig.json`."""
+    name = rig["name"]
+    licences = ", ".join(f"{side} {m['licence']}" for side, m in sorted(rig["models"].items()))
+    about = str(rig["spec"].get("description", ""))
+    return (
+        f"## Arms\n\n`arms/{name}/` holds, for the same rows in the same order, the motion of two arms "
+        f"to each grasp, or the\nstatus that says why there is none. The rig is `{name}`"
+        f"{about and ': '}{about}. Licences of the arms'\nmodels, which are not in this release: "
+        f"{licences}. `rigs/{name}/rig.json` has the rig, the configuration and\nthe chain of joints "
+        "from the world to each hand.\n\n*Reachable*: rows with a motion / the rows of the rate of "
+        "test `a`. *Given reachable*: successes / rows with a\nmotion. *Lift given reachable*: those "
+        "of them that pass test `l`.\n\n"
+    )
 
 
 def derived_text(derived: Mapping[str, Any] | None) -> str:

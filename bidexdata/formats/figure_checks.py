@@ -18,6 +18,7 @@ from bidexdata.formats.card import write_card
 from bidexdata.formats.citation import About
 from bidexdata.formats.figures import Tally
 from bidexdata.formats.pages import write_pages
+from bidexdata.formats.rig_files import RIGS
 from bidexdata.formats.stored_rows import StoredRows
 from bidexdata.record.batch import SCHEMA_VERSION
 from bidexdata.record.fields import METRICS, TESTS
@@ -120,8 +121,9 @@ def _version(release: Release) -> str:
 
 
 def _link_tables(source: Path, root: Path) -> None:
-    # Parquet files alone are links: whatever else is written here must not reach the release.
-    for path in sorted(source.rglob("*.parquet")):
+    # What the pages are written from, and nothing that is written here: that must not reach the
+    # release.
+    for path in sorted([*source.rglob("*.parquet"), *source.glob(f"{RIGS}/*/rig.json")]):
         link = root / path.relative_to(source)
         link.parent.mkdir(parents=True, exist_ok=True)
         link.symlink_to(path.resolve())

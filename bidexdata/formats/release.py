@@ -53,7 +53,10 @@ class ShapesLeftOut(NotUsable):
         )
 
 
-_KEYS = {"name", "version", "figures", "default_protocol", "tests", "configurations", "splits"}
+_KEYS = {
+    *("name", "version", "schema_version", "figures", "default_protocol", "tests"),
+    *("configurations", "splits"),
+}
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,12 @@ class Release:
             raise Contradiction(f"{path / MANIFEST}: incomplete manifest ({err!r})") from err
         if missing:
             raise Contradiction(f"{path / MANIFEST}: incomplete manifest, {missing[0]} is missing")
+        stated = manifest["schema_version"]
+        if stated != header.schema_version:
+            raise Contradiction(
+                f"{path / MANIFEST}: schema_version is {stated!r} and that of its header "
+                f"{header.schema_version!r}; they must be the same"
+            )
         return cls(path, manifest, header)
 
     @property

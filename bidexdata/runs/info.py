@@ -17,6 +17,7 @@ from bidexdata.runs.chosen import check_protocol, refuse_other_rig
 from bidexdata.runs.finished import Finished
 from bidexdata.runs.pack_rows import count_tested, rows_of_object
 from bidexdata.runs.run import Run
+from bidexdata.runs.run_folder import PROTOCOL_FILE
 from bidexdata.runs.shards import read_mark, shard_path
 
 if TYPE_CHECKING:
@@ -125,12 +126,20 @@ def describe_run(run: Run, by: str | None = None, protocol: str | None = None) -
         "tasks": len(run.tasks),
         "rig": run.rig,
         "made_for": spec.rig.name if spec.rig else "",
+        "unfinished": _unfinished(run, finished),
         "done": stages,
         "made_with": made_with_of(run, finished),
         "figures": figures[protocols[0]],
         "protocols": {p: found for p, found in figures.items() if p},
         **({"by": by, "groups": groups} if by else {}),
     }
+
+
+def _unfinished(run: Run, finished: Finished) -> list[str]:
+    """Protocols that a validation was started with, and no task has a verdict of."""
+    known = {name for name, _ in finished.tests}
+    started = (run.path / "validate").glob(f"*/{PROTOCOL_FILE}")
+    return sorted({path.parent.name for path in started} - known)
 
 
 def changed_keys(spec: RunSpec) -> list[str]:
@@ -250,6 +259,7 @@ def describe_release(
         "tests": [list(t) for t in release.protocols],
         "splits": {name: len(ids) for name, ids in release.splits.items()},
         "hands": [f"{h.name} ({h.side})" for h in release.hands],
+        "rig": release.rig,
         "protocol": name,
         "figures": every[name],
         **({"by": by, "groups": release_groups(release, by, tests)} if by else {}),

@@ -2,7 +2,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from made_release import made_release
+from made_release import made_lifted, made_release
 
 
 @pytest.fixture(scope="session")
@@ -15,3 +15,9 @@ def packed(tmp_path_factory) -> Path:
 def copied(packed: Path, tmp_path: Path) -> Path:
     """A made release to damage."""
     return Path(shutil.copytree(packed, tmp_path / "release"))
+
+
+@pytest.fixture(scope="session")
+def lifted(tmp_path_factory) -> Path:
+    """A made release with verdicts of test l alone; read only."""
+    return made_lifted(tmp_path_factory.mktemp("lifted") / "release")

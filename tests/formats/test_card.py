@@ -8,11 +8,13 @@ import yaml
 from made_release import OBJECTS, made_object, made_release
 
 from bidexdata.cli.figures import figure_lines
+from bidexdata.cli.main import run
 from bidexdata.cli.report import percent
 from bidexdata.formats.card import rate_text
 from bidexdata.formats.figures import size_text
 from bidexdata.formats.metric_text import metric_text
 from bidexdata.formats.release import Release
+from bidexdata.formats.verify import verify_release
 from bidexdata.objects.sources.item import UNKNOWN
 from bidexdata.record import Status
 from bidexdata.record.rates import clustered_interval, rate_interval
@@ -141,3 +143,32 @@ def test_hub_readers_see_fixed_size_rows(packed):
 def test_a_rate_without_trials_says_so():
     assert rate_text(rate_interval(0, 0).to_dict()) == "not available"
     assert rate_text(rate_interval(1, 2).to_dict()).startswith("50.0 % (")
+
+
+def test_the_card_goes_by_the_tests_that_there_are(packed, lifted, tmp_path):
+    untested = made_release(tmp_path / "untested", tested=False, tests=[])
+    cards = [(p / "DATASET_CARD.md").read_text() for p in (packed, lifted, untested)]
+    assert "Success is test `f` of" in cards[0]
+    assert 'where="suc_f")' in cards[0]
+    assert "Success is test `l` of" in cards[1]
+    assert 'where="suc_l")' in cards[1]
+    assert "Nothing was tested by protocol `paper-1`" in cards[2]
+    assert "where=" not in cards[2]
+
+
+def test_the_card_and_info_of_a_release_with_arms_name_the_rig(packed, tmp_path, capsys):
+    armed = made_release(tmp_path / "armed", arms=True)
+    card = (armed / "DATASET_CARD.md").read_text()
+    assert "The rig is `made`: two made chains." in card
+    assert "left Apache-2.0, right Apache-2.0" in card
+    assert "C contacts, A arm joints, K key moments, W waypoints;" in card
+    found = Release.open(armed).figures["tests"]["a"]
+    assert f"| Selected reachable, test `a` | {rate_text(found['reachable']['selected'])} |" in card
+    given = rate_text(found["given_reachable"]["unselected"])
+    assert f"| Unselected given reachable, test `a` | {given} |" in card
+    assert verify_release(armed, full=True).ok
+    assert run(["info", str(armed)]) == 0
+    assert "; arms of made" in capsys.readouterr().out
+    plain = (packed / "DATASET_CARD.md").read_text()
+    assert "## Arms" not in plain
+    assert "reachable" not in plain

@@ -356,3 +356,10 @@ def test_a_hand_that_this_machine_lacks_is_no_damage(packed: Path):
 
     with pytest.raises(NotUsable, match="no such hand"):
         verify_release(packed, full=True, resimulate=lacks)
+
+
+def test_a_schema_version_that_is_not_that_of_the_header_is_refused(copied):
+    reseal(copied, lambda head: head.update(schema_version="2.0"))
+    with pytest.raises(Contradiction, match=r"schema_version is '2\.0' and that of its header"):
+        Release.open(copied)
+    assert list(failed(verify_release(copied))) == ["manifest"]

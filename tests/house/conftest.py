@@ -1,7 +1,7 @@
 from pathlib import Path
 
 import pytest
-from made_release import made_release
+from made_release import made_lifted, made_release
 
 
 @pytest.fixture(scope="session")
@@ -14,3 +14,9 @@ def packed(tmp_path_factory) -> Path:
 def armed(tmp_path_factory) -> Path:
     """A made release with motions of arms; read only."""
     return made_release(tmp_path_factory.mktemp("armed") / "release", arms=True)
+
+
+@pytest.fixture(scope="session")
+def lifted(tmp_path_factory) -> Path:
+    """A made release with verdicts of test l alone; read only."""
+    return made_lifted(tmp_path_factory.mktemp("lifted") / "release")
