@@ -69,7 +69,7 @@ def arms(
     data = {"run": str(path), "rig": name, **_figures(report)}
     warn_of_failed(report, path)
     others = len(run.arm_rigs()) > 1
-    following = command("validate", path, "--tests", "a", *(("--rig", name) if others else ()))
+    following = command("validate", path, "--tests", "l,a", *(("--rig", name) if others else ()))
     finish(data, _lines(data, report), following=following, as_json=as_json, quiet=quiet)
     _refuse_unreachable(run.for_rig(name), report)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -230,7 +230,9 @@ def _validate(
             )
         warn_of_failed(report, run.path)
     following = command("info", run.path)
-    if not run.spec.of_release:  # which has no library, so it cannot be packed
+    good = sum(r.good for r in reports.values())
+    # What is packed should have a success; the rows of a release have no library to be packed with.
+    if not run.spec.of_release and (good or _passed_before(run, rules, reports)):
         named = () if rules.name == DEFAULT_PROTOCOL else ("--protocol", rules.name)
         following = command(
             *("pack", run.path, "--out", free_name("RELEASE")),
@@ -238,12 +240,20 @@ def _validate(
             *named,
         )
     finish(data, lines, following=following, as_json=as_json, quiet=quiet)
+    if reports and all(len(r.failures) == r.tasks for r in reports.values()):
+        sentence = f"{run.path}: every task failed; {run.path / 'logs'} says why"
+    else:
+        sentence = f"{run.path}: not one grasp passed; `{command('info', run.path)}` says why"
     refuse_nothing(
-        sum(r.good for r in reports.values()),
+        good,
         (batch for test in reports for batch in run.batches(rules.name, test)),
         "success",
-        f"{run.path}: not one grasp passed; `{command('info', run.path)}` says why",
+        sentence,
     )
+
+
+def _passed_before(run: Run, rules: Protocol, tests: Iterable[str]) -> bool:
+    return any(b["success"].any() for test in tests for b in run.batches(rules.name, test))
 
 
 def _replay(

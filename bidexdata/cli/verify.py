@@ -41,8 +41,15 @@ def verify(
     finish(
         {**report.to_dict(), "seconds": round(time.monotonic() - start, 3)},
         lines,
-        following=command("view", release) if report.ok else "",
+        following=_following(release) if report.ok else "",
         as_json=as_json,
         quiet=quiet,
     )
     report.raise_if_bad()
+
+
+def _following(release: Path) -> str:
+    """Look at it; without meshes there is nothing to look at but its figures."""
+    from bidexdata.formats.release import Release
+
+    return command("view" if Release.open(release).has_shapes else "info", release)

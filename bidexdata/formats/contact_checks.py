@@ -50,7 +50,7 @@ def contacts(release: Release) -> str:
     trees = [read_tree(release, h.name, h.side) for h in release.hands]
     triangles = _Triangles(release)
     worst_gap = worst_slide = 0.0
-    count = 0
+    count = posed = 0
     for group in grasps_of(release, _COLUMNS):
         batch = group.batch
         pads = contact_offsets(batch, trees)
@@ -66,11 +66,15 @@ def contacts(release: Release) -> str:
         worst_gap = max(worst_gap, float(np.nanmax(off, initial=0)))
         worst_slide = max(worst_slide, float(np.nanmax(pads.slide, initial=0)))
         count += len(batch)
+        posed += int((batch["contact_index"] >= 0).sum())
+    if not posed:
+        return f"{counted(count, 'row')}, none of which states a contact"
     measured = "measured on the pieces" if release.has_shapes else "not measured, without pieces"
     return (
-        f"{counted(count, 'row')} posed again: pads {1000 * worst_gap:.2f} mm from where their "
-        f"energies have them (limit {1000 * CONTACT_GAP:g}), offsets across the normal up to {1000 * worst_slide:.2f} mm "
-        f"(beyond {1000 * CONTACT_SLIDE:g} mm the distance was {measured})"
+        f"hands of {counted(count, 'row')} posed again, with {counted(posed, 'contact point')}: how far "
+        f"pads are from the surface differs by at most {1000 * worst_gap:.2f} mm from what the rows' "
+        f"energies say (limit {1000 * CONTACT_GAP:g}); pads lie up to {1000 * worst_slide:.2f} mm beside "
+        f"the normal of their point (beyond {1000 * CONTACT_SLIDE:g} mm the closest point was {measured})"
     )
 
 

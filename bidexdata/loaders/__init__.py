@@ -36,6 +36,10 @@ if TYPE_CHECKING:
     from bidexdata.loaders.stream import BiDexStream as BiDexStream
 
 
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LATE})
+
+
 def __getattr__(name: str) -> Any:
     if name not in _LATE:
         raise AttributeError(f"module 'bidexdata.loaders' has no attribute {name!r}")

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 LICENCE_HINT = (
     "--licences ids-only packs the grasps without the meshes, and a list file's column `licence` "
-    "states licences when they are prepared (docs/releases.md)"
+    "states licences when they are prepared, for imports an INDEX.csv beside their objects "
+    "(docs/releases.md, docs/importing.md)"
 )
 """What a person can do about objects that a policy leaves out."""
 

@@ -24,6 +24,7 @@ from sealing import failed, put, reseal, rewrite, swap_rows
 
 from bidexdata.errors import Contradiction, NotUsable, PathNotFound
 from bidexdata.formats import parquet, verify
+from bidexdata.formats.contact_checks import contacts
 from bidexdata.formats.hdf5 import rebuild_training_form
 from bidexdata.formats.release import Release, ReleaseRows
 from bidexdata.formats.verify import Judged, verify_release
@@ -363,3 +364,16 @@ def test_a_schema_version_that_is_not_that_of_the_header_is_refused(copied):
     with pytest.raises(Contradiction, match=r"schema_version is '2\.0' and that of its header"):
         Release.open(copied)
     assert list(failed(verify_release(copied))) == ["manifest"]
+
+
+def test_contacts_that_are_not_there_are_not_said_to_lie_well(tmp_path):
+    def without(object_id):
+        rows = made_rows(object_id)
+        rows.batch["contact_index"][:] = -1
+        for name in ("contact_point", "contact_normal", "contact_force"):
+            rows.batch[name][:] = np.nan
+        return [rows]
+
+    said = contacts(Release.open(made_release(tmp_path / "release", rows_of=without)))
+    assert said.endswith("none of which states a contact")
+    assert "mm" not in said

@@ -198,3 +198,17 @@ def test_prepare_object_names_a_missing_file(tmp_path):
         prepare_object(tmp_path / "no.obj")
     with pytest.raises(UnknownName):
         prepare_object("shapes:banana")
+
+
+def test_absolute_paths_of_a_list_do_not_name_the_folders_of_the_machine(tmp_path):
+    from bidexdata.objects.sources.lists import list_items
+
+    here, other = tmp_path / "here", tmp_path / "home" / "me"
+    here.mkdir()
+    files = [f"{other}/a/x.obj", f"{other}/b/x.obj", f"{here}/c/y.obj", "z.obj"]
+    (here / "list.txt").write_text("\n".join(files))
+    items = list_items(here / "list.txt")
+    assert [item.source_name for item in items] == ["a/x.obj", "b/x.obj", "c/y.obj", "z.obj"]
+    assert [str(item.path) for item in items[:3]] == files[:3]
+    (here / "one.txt").write_text(files[0])
+    assert [item.source_name for item in list_items(here / "one.txt")] == ["x.obj"]

@@ -76,3 +76,9 @@ def test_reading_needs_none_of_what_writing_needs(code, absent):
     check = f"import sys\n{code}\nprint([m for m in '{absent}'.split() if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_names_that_are_imported_late_are_listed_for_completion():
+    from bidexdata import loaders
+
+    assert set(loaders._LATE) <= set(dir(loaders))

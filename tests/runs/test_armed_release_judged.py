@@ -61,3 +61,28 @@ def test_validate_judges_a_run_of_its_rows(armed: Path, tmp_path: Path, capsys):
     assert "failed" not in said.err
     assert f"of {2 * PER_SCENE - 1} rows passed" in said.out
     assert code in (0, 6)  # random poses need not hold
+
+
+def test_a_validation_that_fails_in_every_task_is_told(
+    armed: Path, tmp_path: Path, capsys, monkeypatch
+):
+    from bidexdata.validation import validate
+
+    def broken(*_, **__):
+        raise RuntimeError("broken")
+
+    monkeypatch.setattr(validate, "validate_grasps", broken)
+    out = tmp_path / "run"
+    words = ["validate", str(armed), "--out", str(out), "--tests", "f", "--executor", "inline"]
+    assert bidexdata(words) == 6
+    said = capsys.readouterr()
+    assert f"{out}: every task failed; {out}/logs says why" in said.err
+    assert "next: bidexdata pack" not in said.out
+    assert bidexdata(["info", str(out)]) == 0
+    assert "validation by paper-1 was started and no task has a verdict" in capsys.readouterr().out
+
+
+def test_what_has_no_meshes_is_not_to_be_viewed_next(tmp_path: Path, capsys):
+    named = made_release(tmp_path / "named", (BOX,), licences="ids-only")
+    assert bidexdata(["verify", str(named)]) == 0
+    assert f"next: bidexdata info {named}" in capsys.readouterr().out

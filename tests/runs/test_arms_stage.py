@@ -227,7 +227,7 @@ def test_the_command_says_what_it_did(run: Run, rig: Path, capsys):
     assert said["n"] == rows * 2 // 3
     assert said["reachable"] == said["by_status"]["ok"]
     assert set(said["by_size"]) == {"300", "400"}
-    assert said["next"] == f"bidexdata validate {run.path} --tests a"
+    assert said["next"] == f"bidexdata validate {run.path} --tests l,a"
     assert bidexdata(["arms", str(run.path), *options]) == 0
     assert "none open" in capsys.readouterr().out
     assert bidexdata(["arms", str(run.path), *options, "--set", "path.lift=0.3"]) == 5

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 from pathlib import Path
 from typing import Any
 
@@ -35,11 +36,28 @@ def list_items(path: Path) -> list[SourceItem]:
         rows = [{"file": line} for line in text_lines(path)]
     if not rows:
         raise NotUsable(f"{path}: the list names no file")
+    names = _names([row["file"] for row in rows], path.parent)
     return [
-        SourceItem(
-            source_name=row["file"], path=path.parent / row["file"], listed=True, **_origin(row)
-        )
-        for row in rows
+        SourceItem(source_name=name, path=path.parent / row["file"], listed=True, **_origin(row))
+        for name, row in zip(names, rows, strict=True)
+    ]
+
+
+def _names(files: list[str], folder: Path) -> list[str]:
+    """What files are called: absolute paths lose the folders that say whose machine it is.
+
+    They are named from the list's folder where they lie in it, else from the folder that all such
+    paths share.
+    """
+    here = Path(os.path.abspath(folder))
+    paths = [Path(os.path.normpath(file)) for file in files]
+    outside = [p for p in paths if p.is_absolute() and not p.is_relative_to(here)]
+    shared = os.path.commonpath([p.parent for p in outside]) if outside else ""
+    return [
+        p.relative_to(here if p.is_relative_to(here) else shared).as_posix()
+        if p.is_absolute()
+        else file
+        for file, p in zip(files, paths, strict=True)
     ]
 
 
