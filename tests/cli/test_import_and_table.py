@@ -14,6 +14,7 @@ from made_named_qpos import made_bodex, made_named
 from bidexdata.cli.main import COMMANDS, run
 from bidexdata.objects.config import PrepareConfig, SdfConfig, SurfaceConfig
 from bidexdata.runs import import_objects
+from bidexdata.validation import validate
 
 
 @pytest.fixture(autouse=True)
@@ -56,15 +57,29 @@ def test_an_import_reports_its_files_and_the_next_command(bench, tmp_path, capsy
     assert "attempts" not in text
 
 
-def test_its_verdicts_are_packed_next(bench, tmp_path, capsys):
+@pytest.mark.parametrize("success", [False, True])
+def test_its_verdicts_are_packed_next_if_one_is_a_success(
+    bench, tmp_path, capsys, monkeypatch, success
+):
+    def judged(*args, **options):
+        columns = validate_grasps(*args, **options)
+        columns["success"][:] = success
+        return columns
+
+    validate_grasps = validate.validate_grasps
+    monkeypatch.setattr(validate, "validate_grasps", judged)
     out = tmp_path / "run"
     assert run(importing(bench, out, "--limit", "1", "--quiet")) == 0
     capsys.readouterr()
-    short = ("--set", "name=short-1", "--set", "hold=0.2")
-    run(["validate", str(out), "--protocol", "dexgraspbench-1", *short, "--workers", "1", "--json"])
+    short = ("--set", "name=short-1", "--set", "hold=0.2", "--executor", "inline")
+    code = run(["validate", str(out), "--protocol", "dexgraspbench-1", *short, "--json"])
     following = json.loads(capsys.readouterr().out)["next"]
-    assert following.startswith(f"bidexdata pack {out} --out RELEASE")
-    assert following.endswith("--protocol short-1")
+    if success:
+        assert code == 0
+        assert following.startswith(f"bidexdata pack {out} --out RELEASE")
+        assert following.endswith("--protocol short-1")
+    else:
+        assert (code, following) == (6, f"bidexdata info {out}")
 
 
 def test_its_run_can_be_drawn_tabled_and_refuses_another_setting(bench, tmp_path, capsys):
