@@ -113,6 +113,32 @@ class LossConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RefineConfig:
+    """How sampled grasps are made to fit the surface. Ours; the paper samples without."""
+
+    steps: int = 0
+    """Of Adam; 0 leaves samples as they are."""
+    rate: float = 0.05
+    """Its rate, in spreads of the training data."""
+    stay: float = 0.02
+    """Weight of the squared distance from the sample."""
+    within: float = 0.06
+    """tau: pads farther from the surface are left alone [m]."""
+    slack: float = 0.015
+    """Pads may be so far aside of a point of the cloud: it has gaps [m]."""
+    clear: float = 0.01
+    """What the pre-grasp keeps from the surface [m]; a fifth of it from the table."""
+    contact: float = 6.0
+    """Weight of the pads' mean gap [m]."""
+    object: float = 50000.0
+    """Weight of mean squared depths in the object [m2]."""
+    table: float = 64000.0
+    """Of those in the table [m2]."""
+    self: float = 300.0
+    """Of summed squared overlaps of key points [m2]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TrainConfig:
     """Optimiser, batches and augmentation."""
 
@@ -150,6 +176,7 @@ class Config:
     diffusion: DiffusionConfig = field(default_factory=DiffusionConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
+    refine: RefineConfig = field(default_factory=RefineConfig)
 
     def __post_init__(self) -> None:
         m = self.model

@@ -12,7 +12,9 @@ from torch import Tensor
 from bidexgrasp_model.checkpoint import HandId
 from bidexgrasp_model.choosing import draw_views
 from bidexgrasp_model.diffusion import draw
+from bidexgrasp_model.hand_shape import HandShapes
 from bidexgrasp_model.model import GenerationModel, Scenes
+from bidexgrasp_model.refine import Surface, refined
 from bidexgrasp_model.rotations import quat_from_matrix
 from bidexgrasp_model.state import SQUEEZE, Poses, decode
 from bidexgrasp_model.tables import tables_of
@@ -31,13 +33,26 @@ class Samples(NamedTuple):
     poses: Poses
 
 
-@torch.inference_mode()
+class Touch(NamedTuple):
+    """What refinement needs besides the model."""
+
+    surface: Surface
+    """Of the same clouds, with as many points as are known."""
+    shapes: HandShapes
+
+    def of(self, some: slice) -> Touch:
+        """That of some of the clouds."""
+        return Touch(Surface(*(part[some] for part in self.surface)), self.shapes)
+
+
+@torch.no_grad()
 def sample(
     model: GenerationModel,
     clouds: Float[Tensor, "B P 3"],
     grasps: int,
     hands: HandId,
     generator: torch.Generator | None = None,
+    touch: Touch | None = None,
 ) -> Samples:
     """Make grasps of some clouds.
 
@@ -47,12 +62,20 @@ def sample(
         grasps: Of each cloud.
         hands: Limits of the joints.
         generator: Of views and noise.
+        touch: For refinement, which is left out without it.
 
     Returns:
         The grasps, those of a cloud behind each other.
     """
     parts = [
-        _sample_some(model, clouds[low : low + _AT_ONCE], grasps, hands, generator)
+        _sample_some(
+            model,
+            clouds[low : low + _AT_ONCE],
+            grasps,
+            hands,
+            generator,
+            touch and touch.of(slice(low, low + _AT_ONCE)),
+        )
         for low in range(0, len(clouds), _AT_ONCE)
     ]
     numbers = torch.arange(len(clouds)).repeat_interleave(grasps)
@@ -67,6 +90,7 @@ def _sample_some(
     grasps: int,
     hands: HandId,
     generator: torch.Generator | None,
+    touch: Touch | None,
 ) -> Samples:
     config = model.config
     scenes = Scenes.of(clouds, tables_of(clouds, config.model))
@@ -83,8 +107,12 @@ def _sample_some(
     def predict(state: Tensor, t: Tensor) -> Tensor:
         return model(state, t, conditions)
 
-    state = model.scale.restored(draw(predict, start, config.diffusion, generator))
-    poses = decode(state, conditions.anchor, model.layout)
+    state = draw(predict, start, config.diffusion, generator)
+    if touch is not None and config.refine.steps:
+        surface = Surface(*(part[cloud] for part in touch.surface))
+        anchor, scale = conditions.anchor, model.scale
+        state = refined(state, anchor, surface, touch.shapes, hands, scale, config.refine)
+    poses = decode(model.scale.restored(state), conditions.anchor, model.layout)
     return Samples(cloud, view, within_limits(poses, hands))
 
 

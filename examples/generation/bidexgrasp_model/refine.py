@@ -1,0 +1,187 @@
+"""Sampled grasps made to fit the surface: a few steps down the paper's physics losses.
+
+The network puts hands within a centimetre or two of where they belong; what is left is that pads
+hang in the air or in the object. The losses that training uses say which way to go. Ours: the
+paper samples without.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from bidexgrasp_model.anchors import Anchor
+from bidexgrasp_model.checkpoint import HandId
+from bidexgrasp_model.config import RefineConfig
+from bidexgrasp_model.hand_shape import HandShapes, Shape
+from bidexgrasp_model.losses import squared_distances
+from bidexgrasp_model.state import GRASP, PREGRASP, Layout, Poses, Scale, decode
+
+_NEAR = 256
+"""Points of the surface around each hand that its points are compared with. Ours."""
+_SEARCH = 5
+"""Steps between two searches for the nearest points. Ours."""
+_FAR = 0.06
+"""Points farther from all of the surface are not told inside from outside [m]. Ours."""
+_PAIRS = 64
+"""Pairs of key points, those closest to each other, that self-penetration is taken of. Ours."""
+_METRES = 100.0
+"""A centimetre off counts as one spread of the training data off. Ours."""
+
+
+class Surface(NamedTuple):
+    """What of objects is known: points with outward normals, in the world."""
+
+    points: Float[Tensor, "B Q 3"]
+    """[m]."""
+    normals: Float[Tensor, "B Q 3"]
+
+
+class Planes(NamedTuple):
+    """Tangent planes of the surface nearest to points of a hand."""
+
+    at: Float[Tensor, "n P 3"]
+    normal: Float[Tensor, "n P 3"]
+
+    def height(self, points: Float[Tensor, "n P 3"]) -> Float[Tensor, "n P"]:
+        """Signed distance to them, positive outside [m]."""
+        return ((points - self.at) * self.normal).sum(-1)
+
+    def aside(self, points: Float[Tensor, "n P 3"]) -> Float[Tensor, "n P"]:
+        """Distance along them from where they touch [m]."""
+        off = points - self.at
+        along = off - (off * self.normal).sum(-1, keepdim=True) * self.normal
+        return (along.square().sum(-1) + 1e-12).sqrt()
+
+
+class Close(NamedTuple):
+    """What is near what, searched for every few steps."""
+
+    skin: Planes
+    """Of the hands' surface, grasps then pre-grasps."""
+    pads: Planes
+    """Of the pads at the grasp."""
+    pairs: Int[Tensor, "m N"]
+    """Which pairs of key points."""
+
+
+def refined(
+    state: Float[Tensor, "n H D"],
+    anchor: Anchor,
+    surface: Surface,
+    hands: HandShapes,
+    limits: HandId,
+    scale: Scale,
+    config: RefineConfig,
+) -> Float[Tensor, "n H D"]:
+    """Move normalised states so that pads touch and nothing overlaps.
+
+    Args:
+        state: As the diffusion left them; the squeeze's numbers stay, so it moves along.
+        anchor: Of the hands.
+        surface: Of the object of each, leading axis n.
+        hands: Their kinematics.
+        limits: Of the joints.
+        scale: Statistics of the states.
+        config: Steps and weights.
+    """
+    layout = Layout(limits.joints)
+    free = 9 + layout.joints + 6 + layout.joints  # grasp and pre-grasp
+    start = state[..., :free].detach()
+    moving = start.clone().requires_grad_(True)
+    adam = torch.optim.Adam([moving], lr=config.rate, betas=(0.9, 0.95))
+    near: Float[Tensor, "n H N 3"] | None = None
+    close: Close | None = None
+    with torch.enable_grad():
+        for step in range(config.steps):
+            for group in adam.param_groups:
+                group["lr"] = config.rate * (1 - 0.8 * step / config.steps)
+            whole = scale.restored(torch.cat([moving, state[..., free:]], dim=-1))
+            shape = _shape(decode(whole, anchor, layout), hands, limits)
+            if step % _SEARCH == 0:
+                close = _search(shape, surface, hands)
+            assert close is not None
+            off = (moving - start).square().sum((-1, -2))
+            loss = _METRES * _physics(shape, close, hands, config) + config.stay * off
+            adam.zero_grad()
+            loss.sum().backward()
+            adam.step()
+    return torch.cat([moving.detach(), state[..., free:]], dim=-1)
+
+
+def _shape(poses: Poses, hands: HandShapes, limits: HandId) -> Shape:
+    """Both hands of all grasps, then of all pre-grasps, joints within limits."""
+    low, high = (poses.joints.new_tensor(edge) for edge in (limits.lower, limits.upper))
+    stages = (GRASP, PREGRASP)
+    joints = [torch.minimum(torch.maximum(poses.joints[:, :, s], low), high) for s in stages]
+    return hands(
+        torch.cat([poses.pos[:, :, s] for s in stages]),
+        torch.cat([poses.rot[:, :, s] for s in stages]),
+        torch.cat(joints),
+    )
+
+
+def _physics(
+    shape: Shape, close: Close, hands: HandShapes, config: RefineConfig
+) -> Float[Tensor, " n"]:
+    """Gaps of pads, and depths in the object, in the table and of hands in hands.
+
+    Source:
+        BiDexGrasp, appendix C: contact, hand-object and self-penetration loss; depths squared
+        (ours), so that one deep point counts more than many shallow ones.
+    """
+    n = len(close.pads.at)
+    pads = shape.pads[:n]
+    gap = close.pads.height(pads).abs() + 0.3 * (close.pads.aside(pads) - config.slack).clamp(min=0)
+    gap = torch.where(gap.detach() < config.within, gap, torch.zeros_like(gap)).mean(-1)
+    clear = torch.zeros(2 * n, 1).to(gap)
+    clear[n:] = config.clear
+    height = close.skin.height(shape.surface)
+    known = (shape.surface - close.skin.at).detach().square().sum(-1) < _FAR**2
+    depth = torch.where(known, (clear - height).clamp(0, 0.05), torch.zeros_like(height))
+    table = (0.2 * clear - shape.surface[..., 2]).clamp(min=0)
+    both = hands.pairs[close.pairs]
+    ends = [shape.keys.gather(1, both[..., k, None].expand(-1, -1, 3)) for k in (0, 1)]
+    apart = ((ends[0] - ends[1]).square().sum(-1) + 1e-12).sqrt()
+    within = (hands.least[close.pairs] - apart).clamp(min=0)
+    overlap = (
+        config.object * depth.square().mean(-1)
+        + config.table * table.square().mean(-1)
+        + config.self * within.square().sum(-1)
+    )
+    return config.contact * gap + overlap[:n] + overlap[n:]
+
+
+@torch.no_grad()
+def _search(shape: Shape, surface: Surface, hands: HandShapes) -> Close:
+    n = len(surface.points)
+    halves = [_nearby(shape.pads[:n], surface, h) for h in range(2)]
+    skin = [_planes(part, halves) for part in (shape.surface[:n], shape.surface[n:])]
+    joined = Planes(*(torch.cat(parts) for parts in zip(*skin, strict=True)))
+    squared = squared_distances(shape.keys, shape.keys).flatten(1)
+    flat = hands.pairs[:, 0] * shape.keys.shape[1] + hands.pairs[:, 1]
+    gap = squared[:, flat].sqrt() - hands.least
+    count = min(_PAIRS, gap.shape[1])
+    pairs = gap.topk(count, dim=1, largest=False).indices
+    return Close(joined, _planes(shape.pads[:n], halves), pairs)
+
+
+def _nearby(pads: Float[Tensor, "n C 3"], surface: Surface, hand: int) -> Surface:
+    """The points of the surface around one hand."""
+    middle = pads.chunk(2, dim=1)[hand].mean(1, keepdim=True)
+    count = min(_NEAR, surface.points.shape[1])
+    index = (surface.points - middle).square().sum(-1).topk(count, dim=1, largest=False).indices
+    wide = index[..., None].expand(-1, -1, 3)
+    return Surface(surface.points.gather(1, wide), surface.normals.gather(1, wide))
+
+
+def _planes(points: Float[Tensor, "n P 3"], halves: list[Surface]) -> Planes:
+    """Nearest planes to points, the first half of which is the left hand's."""
+    found = []
+    for part, known in zip(points.chunk(2, dim=1), halves, strict=True):
+        index = squared_distances(part, known.points).argmin(-1)[..., None].expand(-1, -1, 3)
+        found.append((known.points.gather(1, index), known.normals.gather(1, index)))
+    return Planes(*(torch.cat(parts, dim=1) for parts in zip(*found, strict=True)))
