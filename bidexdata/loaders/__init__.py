@@ -25,6 +25,7 @@ _LATE = {
     "HandModel": "bidexdata.hands.torch_layer",
     "ResumableLoader": "bidexdata.loaders.resume",
     "expand_clouds": "bidexdata.loaders.clouds",
+    "normals_on": "bidexdata.loaders.normals",
 }
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from bidexdata.loaders.cases import BiDexCases as BiDexCases
     from bidexdata.loaders.clouds import expand_clouds as expand_clouds
     from bidexdata.loaders.dataset import BiDexDataset as BiDexDataset
+    from bidexdata.loaders.normals import normals_on as normals_on
     from bidexdata.loaders.resume import ResumableLoader as ResumableLoader
     from bidexdata.loaders.stream import BiDexStream as BiDexStream
 

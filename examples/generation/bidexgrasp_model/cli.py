@@ -88,6 +88,9 @@ def sample(
     single_view: Annotated[
         bool, typer.Option("--single-view", help="See it from one side.")
     ] = False,
+    refine: Annotated[
+        int | None, typer.Option(min=0, help="Steps that fit grasps to the surface.")
+    ] = None,
     seed: Seed = 0,
     device: Device = "cpu",
     threads: Threads = 0,
@@ -109,6 +112,7 @@ def sample(
             grasps=grasps,
             seed=seed,
             single_view=single_view,
+            refine=refine,
             device=device,
             quiet=quiet,
         )
@@ -157,14 +161,18 @@ def evaluate(
 ) -> None:
     """Judge a model and its baselines on the test objects."""
     from bidexgrasp_model import systems
+    from bidexgrasp_model.checkpoint import Checkpoint
     from bidexgrasp_model.evaluation import EvalRequest
     from bidexgrasp_model.evaluation import evaluate as judge
 
     _use_threads(threads)
+    refine = {"refine.steps": Checkpoint.load(checkpoint).config.refine.steps}
     chosen = [
         systems.System(systems.FULL, "model", checkpoint),
+        systems.System(systems.RAW, "model", checkpoint, {"refine.steps": 0}),
         systems.System(systems.DIRECT, "model", checkpoint, {"model.coordination": "direct"}),
         systems.System(systems.TRANSFER, "transfer", checkpoint),
+        systems.System(systems.FITTED, "transfer", checkpoint, refine),
         systems.System(systems.SYNTHESIS, "synthesis"),
     ]
     if plain is not None:

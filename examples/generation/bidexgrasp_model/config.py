@@ -118,6 +118,8 @@ class RefineConfig:
 
     steps: int = 0
     """Of Adam; 0 leaves samples as they are."""
+    skin: int = 64
+    """Points of a hand's surface."""
     rate: float = 0.05
     """Its rate, in spreads of the training data."""
     stay: float = 0.02
@@ -203,6 +205,7 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
             "geometric_from": 0.4,
         },
         "train": {"rate": 6e-4, "repeats": 4},
+        "refine": {"steps": 60},
     },
 }
 """What each preset changes."""

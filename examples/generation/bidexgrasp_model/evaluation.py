@@ -106,7 +106,7 @@ def model_figures(system: System, request: EvalRequest, places: Sequence[Place])
         "steps": checkpoint.step,
         "training_minutes": round(checkpoint.seconds / 60, 2),
         "parameters": sum(p.numel() for p in checkpoint.model().parameters()),
-        "seconds_per_64": seconds_per_batch(system.checkpoint, request.release, places),
+        "seconds_per_64": seconds_per_batch(system, request.release, places),
         "paper_seconds_per_64": PAPER_SECONDS,
         "views": view_hits(checkpoint, request.release),
     }

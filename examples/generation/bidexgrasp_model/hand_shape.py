@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from bidexdata import HandModel
+from bidexdata import HandModel, load_hand
 
 SIDES = ("left", "right")
 
@@ -27,19 +28,12 @@ class Shape(NamedTuple):
 
 
 class HandShapes(torch.nn.Module):
-    """Forward kinematics of the two hands of a release."""
+    """Forward kinematics of two hands."""
 
-    def __init__(self, release: str | Path, surface_points: int):
-        """Open the hands.
-
-        Args:
-            release: Its folder; neither meshes nor MuJoCo are needed.
-            surface_points: Per hand.
-        """
+    def __init__(self, models: Sequence[HandModel]):
+        """Take the hands, left first."""
         super().__init__()
-        self.models = [
-            HandModel.from_release(release, side, surface_points=surface_points) for side in SIDES
-        ]
+        self.models = list(models)
         hands = [model.hand for model in self.models]
         self.counts = [len(hand.joint_names) for hand in hands]
         pairs, least = _pairs(hands)
@@ -47,6 +41,28 @@ class HandShapes(torch.nn.Module):
         self.least: Float[Tensor, " M"]
         self.register_buffer("pairs", pairs)
         self.register_buffer("least", least)
+
+    @classmethod
+    def of_release(cls, release: str | Path, surface_points: int) -> HandShapes:
+        """Open the hands of a release; neither meshes nor MuJoCo are needed.
+
+        Args:
+            release: Its folder.
+            surface_points: Per hand.
+        """
+        return cls(
+            [HandModel.from_release(release, s, surface_points=surface_points) for s in SIDES]
+        )
+
+    @classmethod
+    def of_names(cls, names: Sequence[str], surface_points: int) -> HandShapes:
+        """Load hands by the names that `bidexdata hands` lists, left first."""
+        return cls(
+            [
+                HandModel(load_hand(name, side), surface_points=surface_points)
+                for name, side in zip(names, SIDES, strict=True)
+            ]
+        )
 
     def forward(
         self,

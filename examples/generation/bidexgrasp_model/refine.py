@@ -19,6 +19,7 @@ from bidexgrasp_model.config import RefineConfig
 from bidexgrasp_model.hand_shape import HandShapes, Shape
 from bidexgrasp_model.losses import squared_distances
 from bidexgrasp_model.state import GRASP, PREGRASP, Layout, Poses, Scale, decode
+from bidexgrasp_model.surfaces import Surface
 
 _NEAR = 256
 """Points of the surface around each hand that its points are compared with. Ours."""
@@ -30,14 +31,6 @@ _PAIRS = 64
 """Pairs of key points, those closest to each other, that self-penetration is taken of. Ours."""
 _METRES = 100.0
 """A centimetre off counts as one spread of the training data off. Ours."""
-
-
-class Surface(NamedTuple):
-    """What of objects is known: points with outward normals, in the world."""
-
-    points: Float[Tensor, "B Q 3"]
-    """[m]."""
-    normals: Float[Tensor, "B Q 3"]
 
 
 class Planes(NamedTuple):
@@ -93,7 +86,6 @@ def refined(
     start = state[..., :free].detach()
     moving = start.clone().requires_grad_(True)
     adam = torch.optim.Adam([moving], lr=config.rate, betas=(0.9, 0.95))
-    near: Float[Tensor, "n H N 3"] | None = None
     close: Close | None = None
     with torch.enable_grad():
         for step in range(config.steps):

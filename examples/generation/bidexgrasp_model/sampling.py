@@ -9,15 +9,18 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from bidexgrasp_model.anchors import grasp_anchor
 from bidexgrasp_model.checkpoint import HandId
 from bidexgrasp_model.choosing import draw_views
+from bidexgrasp_model.config import Config
 from bidexgrasp_model.diffusion import draw
 from bidexgrasp_model.hand_shape import HandShapes
 from bidexgrasp_model.model import GenerationModel, Scenes
-from bidexgrasp_model.refine import Surface, refined
+from bidexgrasp_model.refine import refined
 from bidexgrasp_model.rotations import quat_from_matrix
-from bidexgrasp_model.state import SQUEEZE, Poses, decode
-from bidexgrasp_model.tables import tables_of
+from bidexgrasp_model.state import SQUEEZE, Poses, decode, encode
+from bidexgrasp_model.surfaces import Surface
+from bidexgrasp_model.tables import sphere_of, tables_of
 
 _AT_ONCE = 16
 """Clouds that are encoded together."""
@@ -42,7 +45,7 @@ class Touch(NamedTuple):
 
     def of(self, some: slice) -> Touch:
         """That of some of the clouds."""
-        return Touch(Surface(*(part[some] for part in self.surface)), self.shapes)
+        return Touch(self.surface.of(some), self.shapes)
 
 
 @torch.no_grad()
@@ -109,11 +112,41 @@ def _sample_some(
 
     state = draw(predict, start, config.diffusion, generator)
     if touch is not None and config.refine.steps:
-        surface = Surface(*(part[cloud] for part in touch.surface))
+        surface = touch.surface.of(cloud)
         anchor, scale = conditions.anchor, model.scale
         state = refined(state, anchor, surface, touch.shapes, hands, scale, config.refine)
     poses = decode(model.scale.restored(state), conditions.anchor, model.layout)
     return Samples(cloud, view, within_limits(poses, hands))
+
+
+@torch.no_grad()
+def fitted(
+    samples: Samples,
+    clouds: Float[Tensor, "B P 3"],
+    model: GenerationModel,
+    touch: Touch,
+    hands: HandId,
+    config: Config,
+) -> Samples:
+    """Refine grasps that something else made, in the frames and units of a model.
+
+    Args:
+        samples: Grasps, with views.
+        clouds: What they are of [m].
+        model: Its statistics say how far a step goes.
+        touch: Surfaces of the clouds, and the hands.
+        hands: Limits of the joints.
+        config: Steps and weights.
+    """
+    centre, radius = sphere_of(clouds, tables_of(clouds, config.model))
+    view = model.views[samples.view]
+    middle = centre[samples.cloud][:, None].expand_as(view)
+    anchor = grasp_anchor(view, middle, radius[samples.cloud][:, None].expand(view.shape[:-1]))
+    state = model.scale.normalised(encode(samples.poses, anchor))
+    surface = touch.surface.of(samples.cloud)
+    state = refined(state, anchor, surface, touch.shapes, hands, model.scale, config.refine)
+    poses = decode(model.scale.restored(state), anchor, model.layout)
+    return samples._replace(poses=within_limits(poses, hands))
 
 
 def within_limits(poses: Poses, hands: HandId) -> Poses:

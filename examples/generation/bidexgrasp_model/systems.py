@@ -12,18 +12,24 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from bidexdata import Release, Run
 from bidexgrasp_model.checkpoint import Checkpoint
-from bidexgrasp_model.config import with_settings
+from bidexgrasp_model.config import Config, with_settings
+from bidexgrasp_model.hand_shape import HandShapes
 from bidexgrasp_model.places import Place, depth_clouds, release_clouds
-from bidexgrasp_model.sampling import Samples, run_columns, sample
+from bidexgrasp_model.sampling import Samples, Touch, fitted, run_columns, sample
+from bidexgrasp_model.surfaces import estimated_surface, known_surface
 from bidexgrasp_model.transfer import known_cases, transfer
 
 FULL = "BCM + GAF + SAGA"
 DDPM = "plain DDPM"
 DIRECT = "BCM + GAF + SAGA, pairs drawn at once"
+RAW = "BCM + GAF + SAGA, as sampled"
 TRANSFER = "nearest-object transfer"
+FITTED = "nearest-object transfer, refined"
 SYNTHESIS = "synthesis"
 
 
@@ -73,7 +79,7 @@ def make_run(system: System, task: Task, out: Path) -> Run:
     checkpoint = Checkpoint.load(system.checkpoint)
     release = Release.open(task.release)
     if system.kind == "transfer":
-        found = _transferred(checkpoint, task, release)
+        found = _transferred(checkpoint, system, task, release)
     else:
         found = _sampled(checkpoint, system, task, release)
     columns = run_columns(found.poses, checkpoint.hands)
@@ -99,16 +105,20 @@ def scene_columns(places: Sequence[Place]) -> dict[str, np.ndarray]:
 
 
 def seconds_per_batch(
-    checkpoint: Path, release: Path, places: Sequence[Place], repeats: int = 5
+    system: System, release: Path, places: Sequence[Place], repeats: int = 5
 ) -> float:
     """Median time of sampling 64 grasps of one cloud on this machine [s]."""
-    found = Checkpoint.load(checkpoint)
+    assert system.checkpoint is not None
+    found = Checkpoint.load(system.checkpoint)
     model = found.model()
-    clouds = release_clouds(Release.open(release), places[:1], found.config.model.points)
+    model.config = with_settings(found.config, system.settings)
+    opened = Release.open(release)
+    clouds = release_clouds(opened, places[:1], found.config.model.points)
+    touch = touch_of(model.config, opened, places[:1], None)
     times = []
     for k in range(repeats + 1):
         start = time.perf_counter()
-        sample(model, clouds, 64, found.hands, torch.Generator().manual_seed(k))
+        sample(model, clouds, 64, found.hands, torch.Generator().manual_seed(k), touch)
         times.append(time.perf_counter() - start)
     return float(np.median(times[1:]))
 
@@ -123,15 +133,37 @@ def _sampled(checkpoint: Checkpoint, system: System, task: Task, release: Releas
     else:
         clouds = release_clouds(release, task.places, points)
     generator = torch.Generator().manual_seed(task.seed)
-    return sample(model, clouds, task.samples, checkpoint.hands, generator)
+    touch = touch_of(model.config, release, task.places, clouds if task.single_view else None)
+    return sample(model, clouds, task.samples, checkpoint.hands, generator, touch)
 
 
-def _transferred(checkpoint: Checkpoint, task: Task, release: Release) -> Samples:
-    config = checkpoint.config
+def touch_of(
+    config: Config, release: Release, places: Sequence[Place], seen: Float[Tensor, "B P 3"] | None
+) -> Touch | None:
+    """What refinement needs; None where the configuration asks for none.
+
+    Args:
+        config: Steps and points.
+        release: Of the objects and the hands.
+        places: The scenes.
+        seen: Clouds from one side, where nothing else of the objects is known.
+    """
+    if not config.refine.steps:
+        return None
+    surface = known_surface(release, places) if seen is None else estimated_surface(seen)
+    return Touch(surface, HandShapes.of_release(release.path, config.refine.skin))
+
+
+def _transferred(checkpoint: Checkpoint, system: System, task: Task, release: Release) -> Samples:
+    config = with_settings(checkpoint.config, {"refine.steps": 0, **system.settings})
     known = known_cases(task.release, config, checkpoint.where)
     clouds = release_clouds(release, task.places, config.model.points)
     sizes = [round(1000 * p.size) for p in task.places]
-    return transfer(known, clouds, sizes, task.samples, config, checkpoint.hands.joints)
+    found = transfer(known, clouds, sizes, task.samples, config, checkpoint.hands.joints)
+    touch = touch_of(config, release, task.places, None)
+    if touch is None:
+        return found
+    return fitted(found, clouds, checkpoint.model(), touch, checkpoint.hands, config)
 
 
 def _mark(system: System, task: Task) -> str:

@@ -200,7 +200,9 @@ class Trainer:
         self.optimiser = torch.optim.AdamW(
             self.model.parameters(), config.train.rate, weight_decay=config.train.weight_decay
         )
-        self.hands = HandShapes(request.release, config.loss.surface_points).to(self.device)
+        self.hands = HandShapes.of_release(request.release, config.loss.surface_points).to(
+            self.device
+        )
         sampler = EpochSampler(
             len(self.cases), request.seed, rank=self.ranks.rank, world_size=self.ranks.size
         )

@@ -13,6 +13,8 @@ from torch import Tensor
 
 from bidexdata import Library, Run, prepare_library
 from bidexgrasp_model.checkpoint import Checkpoint
+from bidexgrasp_model.config import with_settings
+from bidexgrasp_model.hand_shape import HandShapes
 from bidexgrasp_model.places import (
     Place,
     cloud_of_points,
@@ -21,7 +23,8 @@ from bidexgrasp_model.places import (
     places_of_object,
 )
 from bidexgrasp_model.rotations import matrix_from_quat
-from bidexgrasp_model.sampling import run_columns, sample
+from bidexgrasp_model.sampling import Touch, run_columns, sample
+from bidexgrasp_model.surfaces import Surface, estimated_surface, known_surface
 from bidexgrasp_model.systems import scene_columns
 
 CLOUDS = (".npy", ".txt", ".xyz", ".csv")
@@ -45,6 +48,8 @@ class SampleRequest:
     seed: int = 0
     single_view: bool = False
     """Show the model what one camera sees of a mesh, and not its whole surface."""
+    refine: int | None = None
+    """Steps that fit grasps to the surface; the checkpoint's when omitted."""
     device: str = "cpu"
     quiet: bool = False
 
@@ -79,7 +84,11 @@ def sample_unseen(request: SampleRequest) -> Run:
             clouds = depth_clouds(library, places, points, np.random.default_rng(request.seed))
         else:
             clouds = library_clouds(library, places, points)
-    return _write(request, checkpoint, places, clouds)
+    if measured is None and not request.single_view:
+        surface = known_surface(library, places)
+    else:
+        surface = estimated_surface(clouds)
+    return _write(request, checkpoint, places, clouds, surface)
 
 
 def _write(
@@ -87,11 +96,18 @@ def _write(
     checkpoint: Checkpoint,
     places: list[Place],
     clouds: Float[Tensor, "B P 3"],
+    surface: Surface,
 ) -> Run:
     device = torch.device(request.device)
     model = checkpoint.model().to(device)
+    if request.refine is not None:
+        model.config = with_settings(checkpoint.config, {"refine.steps": request.refine})
+    touch, refine = None, model.config.refine
+    if refine.steps:
+        shapes = HandShapes.of_names(checkpoint.hands.names, refine.skin).to(device)
+        touch = Touch(Surface(*(part.to(device) for part in surface)), shapes)
     generator = torch.Generator().manual_seed(request.seed)
-    found = sample(model, clouds.to(device), request.grasps, checkpoint.hands, generator)
+    found = sample(model, clouds.to(device), request.grasps, checkpoint.hands, generator, touch)
     rows = run_columns(found.poses, checkpoint.hands)
     chosen = [places[b] for b in found.cloud.tolist()]
     rows |= {**scene_columns(chosen), "size": np.array([p.size for p in chosen], np.float32)}

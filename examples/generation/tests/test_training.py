@@ -42,7 +42,7 @@ def trained(release, config, tmp_path_factory) -> Path:
 
 def gaps(cases, batch, release):
     """Distance of the nearest pad of each hand to the cloud at the grasp [m]."""
-    hands = HandShapes(release, 16)
+    hands = HandShapes.of_release(release, 16)
     pos, rot, joints = (part[:, :, GRASP] for part in batch.poses)
     pads = hands(pos, rot, joints).pads
     between = torch.cdist(pads, batch.solid[batch.case]).min(-1).values
@@ -87,7 +87,7 @@ def test_losses_are_finite_at_the_first_and_the_last_noise_level(release, config
         levels = torch.full((n,), t)
         plain = with_settings(config, {"loss.snr": False}) if t == 0 else config
         model.config = plain
-        total, terms = total_loss(model, HandShapes(release, 16), batch, levels=levels)
+        total, terms = total_loss(model, HandShapes.of_release(release, 16), batch, levels=levels)
         assert torch.isfinite(total)
         assert all(torch.isfinite(v) for v in terms.values())
         total.backward()
