@@ -1,0 +1,88 @@
+"""What refinement does to grasps: pads come to the surface, nothing is left in it, no steps change nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+from bidexgrasp_model.anchors import Anchor
+from bidexgrasp_model.checkpoint import HandId
+from bidexgrasp_model.config import RefineConfig
+from bidexgrasp_model.data import Cases
+from bidexgrasp_model.hand_shape import HandShapes
+from bidexgrasp_model.places import places_of_split
+from bidexgrasp_model.refine import refined
+from bidexgrasp_model.state import GRASP, Layout, Scale, decode, encode
+from bidexgrasp_model.surfaces import Surface, estimated_surface, known_surface
+
+from bidexdata import Release
+
+
+@pytest.fixture(scope="module")
+def scene(release, config):
+    """Stored grasps as normalised states about frames at their wrists, their surfaces and hands."""
+    cases = Cases(release, config, augment=False)
+    batch = cases.batch([cases[k] for k in range(len(cases))])
+    opened = Release.open(release)
+    hands = HandShapes.of_release(release, 32)
+    models = [m.hand for m in hands.models]
+    limits = HandId(
+        names=("capsule", "capsule"),
+        joint_names=tuple(m.joint_names for m in models),
+        lower=tuple(tuple(m.joint_lower.tolist()) for m in models),
+        upper=tuple(tuple(m.joint_upper.tolist()) for m in models),
+    )
+    pos = batch.poses.pos[:, :, GRASP]
+    anchor = Anchor(pos, torch.eye(3).expand(*pos.shape, 3).contiguous())
+    layout = Layout(limits.joints)
+    scale = Scale(torch.zeros(2, layout.width), layout.least().expand(2, -1))
+    state = scale.normalised(encode(batch.poses, anchor))
+    surface = Surface(batch.solid[batch.case], batch.normals[batch.case])
+    return opened, hands, limits, anchor, layout, scale, state, surface
+
+
+def _depth(scene, state):
+    _, hands, _limits, anchor, layout, scale, _, surface = scene
+    poses = decode(scale.restored(state), anchor, layout)
+    shape = hands(poses.pos[:, :, GRASP], poses.rot[:, :, GRASP], poses.joints[:, :, GRASP])
+    near = torch.cdist(shape.surface, surface.points).argmin(-1)[..., None].expand(-1, -1, 3)
+    off = shape.surface - surface.points.gather(1, near)
+    return (-(off * surface.normals.gather(1, near)).sum(-1)).clamp(min=0)
+
+
+def test_hands_that_were_pushed_into_the_object_come_out(scene):
+    _, hands, limits, anchor, _, scale, state, surface = scene
+    inward = torch.nn.functional.normalize(surface.points.mean(1)[:, None] - anchor.pos, dim=-1)
+    pushed = state.clone()
+    pushed[..., :3] += 0.02 * inward / scale.std[:, :3]
+    config = RefineConfig(steps=40, rate=0.2, within=0.0)
+    found = refined(pushed, anchor, surface, hands, limits, scale, config)
+    before, after = _depth(scene, pushed).mean(), _depth(scene, found).mean()
+    assert before > 5e-4
+    assert after < 0.5 * before
+
+
+def test_the_squeeze_keeps_what_it_is_relative_to_the_grasp_and_no_steps_change_nothing(scene):
+    _, hands, limits, anchor, layout, scale, state, surface = scene
+    config = RefineConfig(steps=3)
+    found = refined(state, anchor, surface, hands, limits, scale, config)
+    behind = 9 + layout.joints + 6 + layout.joints
+    assert torch.equal(found[..., behind:], state[..., behind:])
+    assert not torch.equal(found, state)
+    still = refined(
+        state, anchor, surface, hands, limits, scale, dataclasses.replace(config, steps=0)
+    )
+    assert torch.equal(still, state)
+
+
+def test_estimated_normals_are_those_of_the_pieces_on_a_box(scene):
+    opened = scene[0]
+    known = known_surface(opened, places_of_split(opened, "train"))
+    found = estimated_surface(known.points)
+    alike = (found.normals * known.normals).sum(-1)
+    torch.testing.assert_close(
+        known.normals.norm(dim=-1), torch.ones_like(alike), atol=1e-4, rtol=0
+    )
+    assert (alike > 0.9).float().mean() > 0.6  # edges have no normal of their own
+    assert (alike > -0.1).float().mean() > 0.95
