@@ -135,7 +135,7 @@ def test_every_field_comes_back_bit_for_bit(
         rows_of=lambda _: [rows],
         hands=hands,
         form=form,
-        rig=ReleaseRig(arms, {"name": "made"}, "") if arms else None,
+        rig=ReleaseRig(arms, {"name": "made", "models": {}, "spec": {}}, "") if arms else None,
     )
     release = Release.open(out)
     assert (release.form, release.header.arms) == (form, arms)

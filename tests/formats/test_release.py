@@ -244,7 +244,8 @@ def rewritten(root: Path, **changes) -> None:
     head.pop("files")
     header = json.loads(head["header"])
     header.update(changes)
-    write_manifest(root, {**head, "header": json.dumps(header)})
+    version = {"schema_version": header["schema_version"]}
+    write_manifest(root, {**head, **version, "header": json.dumps(header)})
 
 
 def test_a_newer_major_schema_is_refused_with_the_way_out(copied):

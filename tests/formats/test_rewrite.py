@@ -166,7 +166,7 @@ def test_a_release_of_a_newer_minor_schema_is_not_rewritten(packed, tmp_path):
     head = json.loads((newer / "manifest.json").read_text())
     head.pop("files")
     header = json.dumps({**json.loads(head["header"]), "schema_version": "1.99"})
-    write_manifest(newer, {**head, "header": header})
+    write_manifest(newer, {**head, "header": header, "schema_version": "1.99"})
     with pytest.raises(NotUsable, match=r"would lose columns; upgrade it with `pip install -U"):
         written([newer], tmp_path / "x")
 
