@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from bidexgrasp_model.config import BadSetting, Config, from_plain
 from bidexgrasp_model.data import ReleaseId
@@ -31,6 +32,15 @@ class HandId:
     def joints(self) -> int:
         """J, of the hand with more."""
         return max(len(names) for names in self.joint_names)
+
+    def within(self, joints: Tensor) -> Tensor:
+        """Set joints (..., H, S, J) to their ranges; columns behind a hand's last joint stay."""
+        parts = []
+        for h, (lower, upper) in enumerate(zip(self.lower, self.upper, strict=True)):
+            own, rest = joints[..., h, :, : len(lower)], joints[..., h, :, len(lower) :]
+            low, high = own.new_tensor(lower), own.new_tensor(upper)
+            parts.append(torch.cat([torch.minimum(torch.maximum(own, low), high), rest], dim=-1))
+        return torch.stack(parts, dim=-3)
 
 
 @dataclass(slots=True, kw_only=True)

@@ -106,13 +106,12 @@ def refined(
 
 def _shape(poses: Poses, hands: HandShapes, limits: HandId) -> Shape:
     """Both hands of all grasps, then of all pre-grasps, joints within limits."""
-    low, high = (poses.joints.new_tensor(edge) for edge in (limits.lower, limits.upper))
     stages = (GRASP, PREGRASP)
-    joints = [torch.minimum(torch.maximum(poses.joints[:, :, s], low), high) for s in stages]
+    held = limits.within(poses.joints)
     return hands(
         torch.cat([poses.pos[:, :, s] for s in stages]),
         torch.cat([poses.rot[:, :, s] for s in stages]),
-        torch.cat(joints),
+        torch.cat([held[:, :, s] for s in stages]),
     )
 
 

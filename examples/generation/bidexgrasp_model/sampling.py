@@ -151,12 +151,8 @@ def fitted(
 
 def within_limits(poses: Poses, hands: HandId) -> Poses:
     """Set joints to their ranges; the squeeze is a command and may ask for more."""
-    joints = poses.joints.clone()
-    for h in range(2):
-        low = joints.new_tensor(hands.lower[h])
-        high = joints.new_tensor(hands.upper[h])
-        held = joints[..., h, :SQUEEZE, : len(low)]
-        joints[..., h, :SQUEEZE, : len(low)] = torch.minimum(torch.maximum(held, low), high)
+    held = hands.within(poses.joints[..., :SQUEEZE, :])
+    joints = torch.cat([held, poses.joints[..., SQUEEZE:, :]], dim=-2)
     return poses._replace(joints=joints)
 
 
