@@ -26,12 +26,12 @@ def scene(release, config):
     batch = cases.batch([cases[k] for k in range(len(cases))])
     opened = Release.open(release)
     hands = HandShapes.of_release(release, 32)
-    models = [m.hand for m in hands.models]
+    left, right = (m.hand for m in hands.models)
     limits = HandId(
         names=("capsule", "capsule"),
-        joint_names=tuple(m.joint_names for m in models),
-        lower=tuple(tuple(m.joint_lower.tolist()) for m in models),
-        upper=tuple(tuple(m.joint_upper.tolist()) for m in models),
+        joint_names=(left.joint_names, right.joint_names),
+        lower=(tuple(left.joint_lower.tolist()), tuple(right.joint_lower.tolist())),
+        upper=(tuple(left.joint_upper.tolist()), tuple(right.joint_upper.tolist())),
     )
     pos = batch.poses.pos[:, :, GRASP]
     anchor = Anchor(pos, torch.eye(3).expand(*pos.shape, 3).contiguous())
