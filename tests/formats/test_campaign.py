@@ -18,6 +18,7 @@ from bidexdata.cli.main import run
 from bidexdata.errors import BidexError, Contradiction
 from bidexdata.formats import parquet
 from bidexdata.formats.verify import verify_release
+from bidexdata.runs import release_pictures
 
 
 def flips(files: list[Path], n: int, seed: int):
@@ -199,7 +200,11 @@ def test_a_killed_writer_leaves_no_wrong_release(context, tmp_path, n, objects):
 
 
 @pytest.mark.slow
-def test_a_killed_pack_of_a_run_leaves_no_wrong_release(context, tmp_path, capsys):
+def test_a_killed_pack_of_a_run_leaves_no_wrong_release(
+    context, tmp_path, capsys, monkeypatch, shown_on_cards
+):
+    # The killed children draw whole cards.
+    monkeypatch.setattr(release_pictures, "SHOWN", shown_on_cards)
     library, made = tmp_path / "library", tmp_path / "run"
     few = ["--set", "regions.anchors=60", "--set", "optimise.approach.steps=40"]
     few += ["--setting", "tabletop"]  # which has tests f and l
