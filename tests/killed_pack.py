@@ -16,7 +16,7 @@ from made_release import OBJECTS, made_release
 
 PRELOADED = (
     *("numpy.random", "pyarrow.compute", "pyarrow.parquet", "pandas", "h5py", "mujoco", "yaml"),
-    *("bidexdata.formats.release", "bidexdata.formats.hdf5", "bidexdata.formats.clouds"),
+    *("bidexdata.formats.writer", "bidexdata.formats.hdf5", "bidexdata.formats.clouds"),
     *("bidexdata.hands", "bidexdata.objects.prepared", "bidexdata.objects.storage"),
 )
 """What the server that the children come from imports: each would spend seconds on it. This file is

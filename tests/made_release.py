@@ -22,7 +22,8 @@ from bidexdata import frames
 from bidexdata.formats import parquet
 from bidexdata.formats.hand_files import contact_centres, tree_of
 from bidexdata.formats.manifest import write_manifest
-from bidexdata.formats.release import ReleaseRows, RunInfo, write_release
+from bidexdata.formats.rows import ReleaseRows, RunInfo
+from bidexdata.formats.writer import write_release
 from bidexdata.hands.model import Hand
 from bidexdata.objects.prepared import PreparedObject, SignedDistanceGrid, TriangleMesh
 from bidexdata.record import GraspBatch, Header, Status

@@ -16,13 +16,13 @@ from bidexdata.formats.citation import About
 from bidexdata.formats.licences import IDS_ONLY, POLICIES
 from bidexdata.formats.manifest import MANIFEST, sha256_of
 from bidexdata.formats.pages import Picture
-from bidexdata.formats.release import Release, write_release
+from bidexdata.formats.release import Release
 from bidexdata.formats.rig_files import ReleaseRig, read_rig_files
 from bidexdata.formats.rows import ReleaseRows, RunInfo
 from bidexdata.formats.splits import ALL, Splitting, check_rule
 from bidexdata.formats.stored_parts import StoredParts, run_infos, tests_of
 from bidexdata.formats.stored_rows import Choose, StoredRows
-from bidexdata.formats.writer import Form, ReleaseSummary, check_names
+from bidexdata.formats.writer import Form, ReleaseSummary, check_names, write_release
 from bidexdata.record.batch import SCHEMA_VERSION, number_of
 from bidexdata.record.settings import differing_settings, fuller_settings
 

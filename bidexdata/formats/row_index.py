@@ -16,7 +16,7 @@ from jaxtyping import Int
 
 from bidexdata.errors import UnknownName
 from bidexdata.formats import hdf5, parquet
-from bidexdata.formats.release import Release
+from bidexdata.formats.row_tables import RowTables
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -40,7 +40,7 @@ class RowIndex:
     """Rows of one configuration and split, or of all splits one after the other."""
 
     def __init__(
-        self, release: Release, configuration: str = "selected", split: str | None = None
+        self, release: RowTables, configuration: str = "selected", split: str | None = None
     ) -> None:
         """Read the scenes table.
 

@@ -191,7 +191,7 @@ def arm_config(source: Browsable) -> ArmConfig:
     from bidexdata.config import from_plain
     from bidexdata.formats.rig_files import read_rig_files
     from bidexdata.runs.arm_folder import read_record
-    from bidexdata.runs.browse import ReleaseSource
+    from bidexdata.runs.browse_release import ReleaseSource
 
     path = Path(source.path)
     if isinstance(source, ReleaseSource):

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from bidexdata.errors import NotUsable, UnknownName
+from bidexdata.record.fields import TESTS
 
 DEFAULT_PROTOCOL = "paper-1"
 
@@ -42,6 +43,12 @@ def chosen_protocol(
             f"{', '.join(known)}"
         )
     return known[0]
+
+
+def tests_of_protocol(protocol: str, tests: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+    """The tests that a protocol has verdicts of, in the order of `TESTS`."""
+    found = set(tests)
+    return tuple(test for test in TESTS if (protocol, test) in found)
 
 
 def refuse_other_rig(path: str | Path, own: str, asked: str | Path | None) -> None:

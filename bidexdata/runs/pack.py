@@ -28,7 +28,7 @@ from bidexdata.wording import counted
 
 if TYPE_CHECKING:
     from bidexdata.formats.citation import About
-    from bidexdata.formats.release import ReleaseRows
+    from bidexdata.formats.rows import ReleaseRows
     from bidexdata.objects.prepared import PreparedObject
 
 LICENCE_HINT = (
@@ -117,9 +117,8 @@ def pack_runs(
         UnknownName: No run has verdicts of the protocol.
     """
     from bidexdata.formats.licences import check_policy
-    from bidexdata.formats.release import write_release
     from bidexdata.formats.splits import check_rule
-    from bidexdata.formats.writer import check_names
+    from bidexdata.formats.writer import check_names, write_release
     from bidexdata.runs.release_pictures import card_pictures
 
     check_names(Path(out), name, version, form)  # before anything is read

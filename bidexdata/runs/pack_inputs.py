@@ -16,8 +16,8 @@ from bidexdata.runs.run import Run
 from bidexdata.synthesis.method_names import DEFAULT_METHOD
 
 if TYPE_CHECKING:
-    from bidexdata.formats.release import RunInfo
     from bidexdata.formats.rig_files import ReleaseRig
+    from bidexdata.formats.rows import RunInfo
 
 
 class NamedRun(NamedTuple):
@@ -158,7 +158,7 @@ def sizes_of(runs: Sequence[NamedRun], ids: set[str]) -> set[int]:
 
 def run_info(one: NamedRun) -> RunInfo:
     """What the release's table of runs says of a run: no paths, no times."""
-    from bidexdata.formats.release import RunInfo
+    from bidexdata.formats.rows import RunInfo
 
     spec = one.run.spec
     return RunInfo(

@@ -15,7 +15,7 @@ from bidexdata.runs.shards import read_mark, shard_path
 if TYPE_CHECKING:
     import numpy as np
 
-    from bidexdata.formats.release import ReleaseRows
+    from bidexdata.formats.rows import ReleaseRows
 
 
 def rows_of_object(
@@ -27,7 +27,7 @@ def rows_of_object(
     """
     import numpy as np
 
-    from bidexdata.formats.release import ReleaseRows
+    from bidexdata.formats.rows import ReleaseRows
 
     tasks = finished.tasks_of(run, object_id)
     if not tasks:

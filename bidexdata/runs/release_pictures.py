@@ -53,7 +53,7 @@ def _sheet(root: Path, head: Mapping[str, Any]) -> bytes:
     from bidexdata.pictures.picture import drawn_by
     from bidexdata.pictures.sheet import contact_sheet
     from bidexdata.record import Header
-    from bidexdata.runs.browse import ReleaseSource
+    from bidexdata.runs.browse_release import ReleaseSource
     from bidexdata.runs.choose import choose_grasps
     from bidexdata.runs.render import grasp_tiles
 

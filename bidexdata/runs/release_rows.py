@@ -20,6 +20,7 @@ from bidexdata.formats import parquet
 from bidexdata.formats.release import Release
 from bidexdata.formats.row_columns import byte_column
 from bidexdata.formats.row_index import RowIndex
+from bidexdata.formats.table_join import join_tables
 from bidexdata.formats.tables import GRASP_COLUMNS
 from bidexdata.record import GraspBatch
 from bidexdata.record.status import Status
@@ -150,7 +151,8 @@ class ReleaseRowsIndex:
         if (self.protocol, test) in self.release.protocols:
             tables[f"verdicts/{self.protocol}-{test}"] = None
         rows = [self._row(part, at, table, columns) for table, columns in tables.items()]
-        return self.release.join([self.release.path / table for table in tables], rows)
+        files = [self.release.path / table for table in tables]
+        return join_tables(self.release.header, files, rows)
 
     def rows_named(self, digits: str) -> list[tuple[int, str]]:
         """Rows whose id begins so, and the ids; reads the ids, group by group, and keeps none."""

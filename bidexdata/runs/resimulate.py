@@ -69,7 +69,7 @@ def _hands(root: Path, headers: tuple[HandHeader, ...], seal: str) -> ReleaseHan
     # The seal keeps a release that took another's place from getting the other's hands.
     from bidexdata.formats.hand_files import hand_folder
     from bidexdata.formats.stored_hand import stored_hand
-    from bidexdata.runs.browse import hand_here
+    from bidexdata.runs.installed import hand_here
 
     hands, borrowed = [], []
     for header in headers:

@@ -16,7 +16,10 @@ from bidexdata.errors import BadConfig
 from bidexdata.formats.flat import ARMS, GRASP, Verdicts, flat_rows, flat_schema
 from bidexdata.formats.tables import VERDICT_COLUMNS, arms_tables
 from bidexdata.record import GraspBatch
-from bidexdata.runs.browse import LibrarySource, ReleaseSource, RunSource, open_browsable
+from bidexdata.runs.browse import open_browsable
+from bidexdata.runs.browse_library import LibrarySource
+from bidexdata.runs.browse_release import ReleaseSource
+from bidexdata.runs.browse_run import RunSource
 from bidexdata.runs.finished import Finished
 from bidexdata.runs.progress import Progress
 from bidexdata.runs.shards import write_atomically

@@ -141,7 +141,7 @@ def _scenes_of(source: Browsable, split: str | None) -> frozenset[str] | None:
     """Scenes of a split; None where all are meant."""
     if split is None:
         return None
-    from bidexdata.runs.browse import ReleaseSource
+    from bidexdata.runs.browse_release import ReleaseSource
 
     if not isinstance(source, ReleaseSource):
         raise NotUsable(f"{source.path} is a run, and splits are made by pack: leave out --split")

@@ -24,8 +24,9 @@ from made_release import (
 from bidexdata.errors import Contradiction, NotUsable, UnknownChoice, UnknownName
 from bidexdata.formats import hdf5
 from bidexdata.formats.hdf5_writer import LIBRARY_VERSIONS
-from bidexdata.formats.release import Release, ReleaseRows
+from bidexdata.formats.release import Release
 from bidexdata.formats.rig_files import ReleaseRig
+from bidexdata.formats.rows import ReleaseRows
 from bidexdata.formats.tables import ARM_COLUMNS, CONTACT_COLUMNS, GRASP_COLUMNS, VERDICT_COLUMNS
 from bidexdata.formats.verify import verify_release
 from bidexdata.formats.writer import check_names

@@ -29,7 +29,8 @@ from made_release import (
 from bidexdata.errors import Contradiction, NotUsable, PathNotFound, UnknownName
 from bidexdata.formats.manifest import write_manifest
 from bidexdata.formats.object_table import shape_hash
-from bidexdata.formats.release import Release, ReleaseRows, RunInfo
+from bidexdata.formats.release import Release
+from bidexdata.formats.rows import ReleaseRows, RunInfo
 from bidexdata.formats.tables import SORTED_BY
 from bidexdata.record import Status
 from bidexdata.record.batch import BadRecord

@@ -15,8 +15,9 @@ from bidexdata.errors import NotUsable, UnknownName
 from bidexdata.formats.content_hash import content_hash
 from bidexdata.formats.diff import diff_releases
 from bidexdata.formats.manifest import write_manifest
-from bidexdata.formats.release import Release, RunInfo
+from bidexdata.formats.release import Release
 from bidexdata.formats.rewrite import Rewriting, rewrite
+from bidexdata.formats.rows import RunInfo
 from bidexdata.formats.verify import verify_release
 
 SECOND = RunInfo("run", "e" * 16, PER_SCENE, 4 * PER_SCENE, config={"a": 2})

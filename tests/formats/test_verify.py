@@ -26,7 +26,8 @@ from bidexdata.errors import Contradiction, NotUsable, PathNotFound
 from bidexdata.formats import parquet, verify
 from bidexdata.formats.contact_checks import contacts
 from bidexdata.formats.hdf5 import rebuild_training_form
-from bidexdata.formats.release import Release, ReleaseRows
+from bidexdata.formats.release import Release
+from bidexdata.formats.rows import ReleaseRows
 from bidexdata.formats.verify import Judged, verify_release
 from bidexdata.record import Status
 

@@ -15,7 +15,7 @@ from bidexdata.cli.main import run
 from bidexdata.cli.verify import verify
 from bidexdata.formats.card import write_card
 from bidexdata.formats.figure_checks import in_order
-from bidexdata.formats.release import RunInfo
+from bidexdata.formats.rows import RunInfo
 from bidexdata.formats.verify import verify_release
 
 
