@@ -24,7 +24,7 @@ from bidexdata.formats.stored_parts import StoredParts, run_infos, tests_of
 from bidexdata.formats.stored_rows import Choose, StoredRows
 from bidexdata.formats.writer import Form, ReleaseSummary, check_names, write_release
 from bidexdata.record.batch import SCHEMA_VERSION, number_of
-from bidexdata.record.settings import differing_settings, fuller_settings
+from bidexdata.record.settings import shared_settings
 
 How = Literal["migrate", "merge", "split", "subset"]
 
@@ -98,7 +98,9 @@ def rewrite(
         runs=_runs(releases, sources, chosen=what.choose is not None),
         tests=tests,
         default_protocol=_protocol(releases, what.protocol),
-        protocols=_protocols(releases),
+        protocols=shared_settings(
+            ((r.path, r.protocol_settings) for r in releases), "they cannot be one release"
+        ),
         splitting=_kept_split(releases, parts, ids) if what.split_by is None else None,
         split_by=what.split_by or "object",
         sizes_mm={int(s["size_mm"]) for source in sources for s in source.scenes},
@@ -241,21 +243,6 @@ def _protocol(releases: Sequence[Release], wanted: str | None) -> str:
             "--protocol whose verdicts are suc_f, suc_l, suc_a and the metrics"
         )
     return defaults[0]
-
-
-def _protocols(releases: Sequence[Release]) -> dict[str, Any]:
-    found: dict[str, tuple[Path, Any]] = {}
-    for release in releases:
-        for name, settings in release.protocol_settings.items():
-            where, known = found.setdefault(name, (release.path, settings))
-            differing = differing_settings(known, settings)
-            if differing:
-                raise NotUsable(
-                    f"{release.path} and {where} have verdicts of different protocols called "
-                    f"{name!r} ({differing[0]}); they cannot be one release"
-                )
-            found[name] = (where, fuller_settings(known, settings))
-    return {name: settings for name, (_, settings) in sorted(found.items())}
 
 
 def _policy(releases: Sequence[Release]) -> str:

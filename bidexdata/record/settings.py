@@ -6,10 +6,12 @@ out, and runs and releases from before there were arms agree with those of today
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 from bidexdata.config import differing_keys
+from bidexdata.errors import NotUsable
 from bidexdata.record.fields import WITH_ARMS
 
 _ARM, _TESTS = "arm", "tests"
@@ -39,3 +41,32 @@ def differing_settings(one: Mapping[str, Any], other: Mapping[str, Any]) -> list
 def fuller_settings(one: Mapping[str, Any], other: Mapping[str, Any]) -> Mapping[str, Any]:
     """Of two that agree give the one that says how arms are driven; the first where both do."""
     return other if _ARM in other and _ARM not in one else one
+
+
+def shared_settings(
+    sources: Iterable[tuple[Path, Mapping[str, Mapping[str, Any]]]], remedy: str
+) -> dict[str, Mapping[str, Any]]:
+    """Give the settings of the protocols of several runs or releases; one name, one protocol.
+
+    Args:
+        sources: Where each lies, for messages, and its protocols' settings by name.
+        remedy: What to do where two differ, the end of a sentence.
+
+    Returns:
+        The fuller settings of every name, sorted by it.
+
+    Raises:
+        NotUsable: Two have different settings under one name.
+    """
+    found: dict[str, tuple[Path, Mapping[str, Any]]] = {}
+    for path, protocols in sources:
+        for name, settings in protocols.items():
+            first, known = found.setdefault(name, (path, settings))
+            differing = differing_settings(known, settings)
+            if differing:
+                raise NotUsable(
+                    f"{path} and {first} have verdicts of different protocols called {name!r} "
+                    f"({differing[0]}); {remedy}"
+                )
+            found[name] = (first, fuller_settings(known, settings))
+    return {name: settings for name, (_, settings) in sorted(found.items())}

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bidexdata.config import differing_keys, to_plain
 from bidexdata.errors import NotUsable
 from bidexdata.record.scene import scene_parts
-from bidexdata.record.settings import differing_settings, fuller_settings
+from bidexdata.record.settings import shared_settings
 from bidexdata.runs.finished import Finished, Test
 from bidexdata.runs.run import Run
 from bidexdata.synthesis.method_names import DEFAULT_METHOD
@@ -127,27 +127,27 @@ def objects_of(runs: Sequence[NamedRun]) -> dict[str, Run]:
     return found
 
 
-def shared_protocols(runs: Sequence[NamedRun], tests: Sequence[Test]) -> dict[str, Any]:
+def shared_protocols(
+    runs: Sequence[NamedRun], tests: Sequence[Test]
+) -> dict[str, Mapping[str, Any]]:
     """Settings of the protocols that the runs have verdicts of; one name, one protocol.
 
     Raises:
         NotUsable: Two runs have verdicts of different settings under one name.
     """
-    found: dict[str, tuple[Path, Any]] = {}
-    for one in runs:
-        for name in sorted({p for p, _ in tests}):
-            if not (one.run.path / "validate" / name).is_dir():
-                continue
-            mine = to_plain(one.run.protocol(name))
-            first, known = found.setdefault(name, (one.run.path, mine))
-            differing = differing_settings(known, mine)
-            if differing:
-                raise NotUsable(
-                    f"{one.run.path} and {first} have verdicts of different protocols called "
-                    f"{name!r} ({differing[0]}); validate one of them again under another name"
-                )
-            found[name] = (first, fuller_settings(known, mine))
-    return {name: settings for name, (_, settings) in sorted(found.items())}
+    names = sorted({p for p, _ in tests})
+    stored = (
+        (
+            one.run.path,
+            {
+                name: to_plain(one.run.protocol(name))
+                for name in names
+                if (one.run.path / "validate" / name).is_dir()
+            },
+        )
+        for one in runs
+    )
+    return shared_settings(stored, "validate one of them again under another name")
 
 
 def sizes_of(runs: Sequence[NamedRun], ids: set[str]) -> set[int]:

@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import pytest
+
 from bidexdata.config import to_plain
-from bidexdata.record.settings import differing_settings, fuller_settings, settings_of_test
+from bidexdata.errors import NotUsable
+from bidexdata.record.settings import (
+    differing_settings,
+    fuller_settings,
+    settings_of_test,
+    shared_settings,
+)
 from bidexdata.validation import load_protocol
 from bidexdata.validation.protocols import without_arms
 
@@ -34,3 +44,21 @@ def test_other_settings_are_named_by_their_keys():
     assert differing_settings(FULL, longer) == ["hold: 3.0 -> 4.0"]
     fewer = {**OLD, "tests": ["f"]}
     assert differing_settings(fewer, FULL) == ["tests: ['f'] -> ['f', 'l']"]
+
+
+def test_several_sources_share_the_fuller_settings_of_every_name():
+    sources = [(Path("one"), {"b": OLD}), (Path("two"), {"b": FULL, "a": OLD}), (Path("none"), {})]
+    for order in (sources, sources[::-1]):
+        shared = shared_settings(order, "stop")
+        assert list(shared) == ["a", "b"]
+        assert shared["b"] is FULL
+    assert shared_settings([], "stop") == {}
+
+
+def test_sources_that_mean_different_things_by_one_name_are_refused():
+    sources = [(Path("one"), {"p": OLD}), (Path("two"), {"p": {**OLD, "hold": 4.0}})]
+    said = (
+        r"^two and one have verdicts of different protocols called 'p' \(hold: 3.0 -> 4.0\); stop$"
+    )
+    with pytest.raises(NotUsable, match=said):
+        shared_settings(sources, "stop")
