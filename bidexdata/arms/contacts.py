@@ -1,7 +1,8 @@
 """How far a robot stands from table, object and itself by MuJoCo: the final word on a path.
 
 A hand's touch is the grasp's own business: fingers on the object once they close, and overlaps of
-the hands with the table or each other that are no deeper than synthesis lets them be.
+the hands with the table or each other that are no deeper than synthesis lets them be where it is not
+told otherwise: its limits are settings of a run, and grasps of any run or import come here.
 """
 
 from __future__ import annotations
@@ -16,16 +17,13 @@ from numpy.typing import NDArray
 from bidexdata.arms.arm_scene import ARM, FIXTURE, ArmScene, place_joints
 from bidexdata.engine_log import engine_warnings_logged
 from bidexdata.simulation.scene import NOBODY
+from bidexdata.simulation.settings import HANDS_DEPTH, TABLE_DEPTH
 
 if TYPE_CHECKING:
     import mujoco
 
 REACH = 0.05
 """Distances beyond this read as this [m]."""
-HANDS_MAY = 0.010
-"""Hands overlap each other no deeper in a grasp (`SelectionConfig.hands_depth`) [m]."""
-TABLE_MAY = 0.005
-"""And the table no deeper (`SelectionConfig.table_depth`) [m]."""
 TABLE, OBJECT, ARMS, ITSELF = range(4)
 """Places of the distances in `ArmDepths`."""
 _NONE = -1
@@ -77,7 +75,7 @@ def pair_kinds(arms: ArmScene, *, hands_touch: bool) -> PairKinds:
     for i in range(2):
         arm, other = ARM - i, 1 - i
         rule(arm, NOBODY, TABLE)
-        rule(i, NOBODY, TABLE, TABLE_MAY)
+        rule(i, NOBODY, TABLE, TABLE_DEPTH)
         rule(arm, of_object, OBJECT)
         rule(i, of_object, _NONE if hands_touch else OBJECT)
         rule(arm, ARM - other, ARMS)
@@ -85,7 +83,7 @@ def pair_kinds(arms: ArmScene, *, hands_touch: bool) -> PairKinds:
         for own in (arm, i):
             rule(arm, own, ITSELF)
             rule(FIXTURE, own, ITSELF)
-    rule(0, 1, ARMS, HANDS_MAY)
+    rule(0, 1, ARMS, HANDS_DEPTH)
     return PairKinds(kind, may, -FIXTURE)
 
 

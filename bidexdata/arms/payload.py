@@ -12,9 +12,8 @@ from bidexdata.arms.chain import chain_jacobian
 from bidexdata.arms.robot import Robot
 from bidexdata.errors import NotUsable
 from bidexdata.hands.model import Side
+from bidexdata.simulation.settings import GRAVITY
 
-GRAVITY = 9.81
-"""[m/s^2]."""
 HEAVIEST = 0.25
 """Mass of a cube of 0.8 m diagonal at 2.5 kg/m^3, the largest size at the density of `paper-1`
 [kg]."""
@@ -89,6 +88,7 @@ def _torque_share(robot: Robot, h: int, q: np.ndarray, mass: float) -> float:
 
     arm, hand = robot.arms[h], robot.hands[h]
     model = arm_spec(robot.rig.spec, h, arm.model, hand, arm.mount).compile()
+    model.opt.gravity[:] = (0, 0, -GRAVITY)
     data = mujoco.MjData(model)
     names = [model.joint(j).name.rpartition("/")[2] for j in range(model.njnt)]
     joints = [names.index(name) for name in arm.chain.joint_names]

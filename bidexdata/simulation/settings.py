@@ -17,6 +17,14 @@ from bidexdata.errors import BadConfig
 if TYPE_CHECKING:
     from bidexdata.objects.prepared import Solid
 
+GRAVITY = 9.8
+"""Of protocols, of what hands squeeze for and of what arms must carry [m/s^2] (paper, section 6)."""
+HANDS_DEPTH = 0.010
+"""Hands deeper in each other than this are no grasp [m]. DexGraspBench start check: 10 mm."""
+TABLE_DEPTH = 0.005
+"""Nor are hands deeper in the table [m]. Ours: half the start check, because the squeeze's target,
+which the hands only press towards, reaches deeper than the start."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneSettings:

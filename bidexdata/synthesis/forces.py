@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from bidexdata.simulation.settings import GRAVITY
 from bidexdata.synthesis import chain
 from bidexdata.wrench.qp import allocate_contact_qp, solve_contact_qp
 from bidexdata.wrench.qp_groups import axis_targets, qp_groups, zero_target
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
     from bidexdata.simulation.compliance import WeldStiffness
     from bidexdata.synthesis.optimise_config import ClosureConfig
     from bidexdata.synthesis.workspace import Workspace
-
-GRAVITY = 9.8
-"""[m/s2], the paper's."""
 
 
 class ContactForces(NamedTuple):

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int, Int8
 
 from bidexdata.config import refuse_outside
 from bidexdata.record import Status
+from bidexdata.simulation.settings import HANDS_DEPTH, TABLE_DEPTH
 from bidexdata.synthesis.settling import Settled, SettlingConfig
 
 LEAST_RESIDUAL, LEAST_TURN = 1e-7, 1e-3
@@ -29,12 +30,11 @@ class SelectionConfig:
     """Attempts per grasp kept, M / N [-]. Ours: validation costs far more than synthesis."""
     start_depth: float = 0.010
     """Deeper pre-grasp penetration is a failed attempt [m]. DexGraspBench start check: 10 mm."""
-    hands_depth: float = 0.010
+    hands_depth: float = HANDS_DEPTH
     """The same within and between hands [m]. DexGraspBench, the same check."""
-    table_depth: float = 0.005
-    """Hands deeper than this in the table at any of the three stages are a failed attempt [m]. Ours:
-    half the start check, because the squeeze's target, which the hands only press towards, reaches
-    deeper than the start."""
+    table_depth: float = TABLE_DEPTH
+    """Hands deeper than this in the table at any of the three stages are a failed attempt [m]. Ours;
+    `simulation.settings` says why."""
     clear_depth: float = 0.001
     """Attempts with less pre-grasp penetration come first [m]. Measurements, 6."""
     largest_residual: float = 0.01

@@ -16,7 +16,7 @@ from typing import Any, Literal
 from bidexdata.config import OMIT_NONE, from_plain, load_yaml, merge, to_plain
 from bidexdata.errors import BadConfig, NotUsable, PathNotFound, UnknownName
 from bidexdata.record.fields import DIRECTIONS, JUDGED, WITH_ARMS
-from bidexdata.simulation.settings import SceneSettings
+from bidexdata.simulation.settings import GRAVITY, SceneSettings
 
 from .arm_rules import ArmRules
 
@@ -116,7 +116,7 @@ class Protocol:
     load: Literal["gravity", "force"] = "gravity"
     """Gravity on everything, or a force at the object's centre of mass alone, which then is
     `gravity` times the nominal mass (DexGraspBench)."""
-    gravity: float = 9.8
+    gravity: float = GRAVITY
     """The load: along each direction in test f, down in test l [m/s^2] (paper, section 6)."""
     directions: tuple[str, ...] = DIRECTIONS
     """Loads of test f in the order in which they are applied, along the object's axes."""
