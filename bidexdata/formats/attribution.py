@@ -13,8 +13,10 @@ _HEAD = """# Attribution: {name} {version}
 
 The meshes of this data set are the work of others. They were changed: repaired, cut into convex
 pieces and scaled to unit diagonal. {left_out}Where a licence asks for attribution, this table is it.
+Where a source states no address, the collection that the mesh is from stands in its place; `unknown`
+is what nobody stated.
 
-| object | source file | author | licence | address |
+| object | source file | author | licence | address or collection |
 |---|---|---|---|---|
 """
 _LEFT_OUT = "The meshes themselves are left out; objects are named and described only. "
@@ -38,13 +40,15 @@ def attribution_text(
 def _line(row: Mapping[str, Any]) -> str:
     licence = str(row["licence"])
     address = licence_address(licence)
-    # The address of the object itself, or what collection it is from.
-    place = str(row.get("uri") or "") or str(row["source"])
     cells = (
         f"`{row['object_id']}`",
         str(row["source_name"]),
         str(row["author"]),
         f"[{licence}]({address})" if address else licence,
-        place or UNKNOWN,
+        str(row.get("uri") or "") or str(row["source"]),
     )
-    return "| " + " | ".join(c.replace("|", "\\|").replace("\n", " ") for c in cells) + " |\n"
+    return "| " + " | ".join(_cell(c) for c in cells) + " |\n"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ").strip() or UNKNOWN

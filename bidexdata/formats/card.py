@@ -234,6 +234,7 @@ def _runs(root: Path) -> str:
             r["run"],
             r["preset"] or "-",
             r["setting"],
+            r["rig"] or "-",
             "-" if r["grasps"] < 0 else r["grasps"],
             "-" if r["candidates"] < 0 else r["candidates"],
             r["seed"],
@@ -242,7 +243,7 @@ def _runs(root: Path) -> str:
         )
         for r in parquet.read_table(root / "runs.parquet").to_pylist()
     ]
-    head = ("run", "preset", "setting", "N", "attempts", "seed", "bidexdata", "fingerprint")
+    head = ("run", "preset", "setting", "rig", "N", "attempts", "seed", "bidexdata", "fingerprint")
     return _markdown(head, rows)
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bidexdata.formats.tables import arms_tables
+from bidexdata.formats.tables import arms_tables, plain_lacks
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -125,7 +125,9 @@ def content_hash(release: Release) -> str:
     for name, table in _row_tables(release):
         tally.add(name, table)
     for name in SMALL_TABLES:
-        tally.add(name, getattr(release, name))
+        table = getattr(release, name)
+        late = [c for c in table.column_names if plain_lacks(release.header, c)]
+        tally.add(name, table.drop_columns(late))
     return tally.digest()
 
 

@@ -44,7 +44,7 @@ def object_row(solid: Solid, shape: str) -> dict[str, Any]:
     """Row of the objects table, without `cloud_index` and `split`."""
     known = solid.provenance
     text = {key: str(known.get(key) or "") for key in ("source_name", "source_sha256")}
-    text["uri"] = str(known.get("uri") or "")
+    text["uri"] = _address(known)
     text |= {key: str(known.get(key) or UNKNOWN) for key in ("source", "author", "category")}
     text["licence"] = normal_licence(known.get("licence"))
     return {
@@ -57,6 +57,13 @@ def object_row(solid: Solid, shape: str) -> dict[str, Any]:
         "rest_poses": len(solid.rest_quats_wxyz),
         "recipe": canonical_json({key: known[key] for key in _RECIPE if key in known}),
     }
+
+
+def _address(known: Mapping[str, Any]) -> str:
+    """Address that the object is from: where it has none of its own, its source may be one."""
+    source = str(known.get("source") or "")
+    named = source if source.startswith(("https://", "http://")) else ""
+    return str(known.get("uri") or "") or named
 
 
 def objects_table(rows: Sequence[Mapping[str, Any]], splits: Mapping[str, str]) -> pa.Table:
@@ -132,6 +139,7 @@ def runs_table(runs: Sequence[RunInfo]) -> pa.Table:
             "seed": r.seed,
             "preset": r.preset,
             "setting": r.setting,
+            "rig": r.rig,
             "generator_version": r.version,
             "config": canonical_json(r.config),
         }

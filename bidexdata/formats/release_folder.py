@@ -162,8 +162,9 @@ class ReleaseFolder:
 
     @cached_property
     def runs(self) -> pa.Table:
-        """The runs table."""
-        return parquet.read_table(self.path / "runs.parquet")
+        """The runs table; columns that an older schema lacks say nothing."""
+        table = parquet.read_table(self.path / "runs.parquet")
+        return tables.completed(table, tables.RUN_FIELDS)
 
     @cached_property
     def object_ids(self) -> tuple[str, ...]:

@@ -59,6 +59,8 @@ class RunInfo:
     seed: int = 0
     preset: str = ""
     setting: str = "floating"
+    rig: str = ""
+    """Name of the rig that its grasps were made for; empty for none."""
     library_fingerprint: str = ""
     version: str = ""
     config: Mapping[str, Any] = field(default_factory=dict)

@@ -86,6 +86,7 @@ def run_infos(release: Release) -> list[RunInfo]:
             seed=row["seed"],
             preset=row["preset"],
             setting=row["setting"],
+            rig=row["rig"],
             library_fingerprint=row["library_fingerprint"],
             version=row["generator_version"],
             config=json.loads(row["config"]),

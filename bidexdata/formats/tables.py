@@ -42,7 +42,7 @@ OBJECT_FIELDS = (
     Field("source_sha256", "string", "", "", "", "prepare", "objects", "sha256 of the source file"),
     Field("shape_sha256", "string", "", "", "", "pack", "objects", "sha256 of the repaired mesh's and the pieces' arrays; no shape is in two splits, unless they are by size"),
     Field("licence", "string", "", "", "", "prepare", "objects", "SPDX identifier of the mesh's licence; unknown = the source states none that is known"),
-    Field("uri", "string", "", "", "", "prepare", "objects", "address of the source; empty = none stated"),
+    Field("uri", "string", "", "", "", "prepare", "objects", "web address of the source; empty = none stated, and source names the collection"),
     Field("author", "string", "", "", "", "prepare", "objects", "author of the mesh; unknown = the source names none"),
     Field("category", "string", "", "", "", "prepare", "objects", "category given by the source; unknown = none"),
     Field("pieces", "int32", "", "", "", "pack", "objects", "number of convex pieces"),
@@ -79,6 +79,7 @@ RUN_FIELDS = (
     Field("seed", "int64", "", "", "", "synth", "runs", "seed of the run"),
     Field("preset", "string", "", "", "", "synth", "runs", "preset (or, of a peer, method) that the configuration started from"),
     Field("setting", "string", "", "", "", "synth", "runs", "floating or tabletop"),
+    Field("rig", "string", "", "", "", "synth", "runs", "rig that the run's grasps were made for (synth --rig); empty = for none"),
     Field("generator_version", "string", "", "", "", "synth", "runs", "version of bidexdata that made the run"),
     Field("config", "string", "", "", "", "synth", "runs", "canonical JSON of the whole configuration"),
 )
@@ -87,8 +88,9 @@ RUN_FIELDS = (
 PLAIN_ADDED_IN = {
     **dict.fromkeys(("table", "object_pos", "object_quat_wxyz", "mass", "friction"), "1.3"),
     **dict.fromkeys(("uri", "nominal_volume", "recipe"), "1.3"),
+    "rig": "1.4",
 }
-"""Schema version that brought a column of the objects or scenes table."""
+"""Schema version that brought a column of the objects, scenes or runs table."""
 _EMPTY: dict[str, Any] = {"string": "", "bool": False, "float32": math.nan}
 
 NULLABLE = tuple(f"suc_{test}" for test in TESTS)

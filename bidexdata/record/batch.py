@@ -20,7 +20,7 @@ from bidexdata.record.fields import ADDED_IN, FIELDS, KEY_FRAMES, STAGES, Field
 if TYPE_CHECKING:
     import pyarrow as pa
 
-SCHEMA_VERSION = "1.3"
+SCHEMA_VERSION = "1.4"
 _HEADER_KEY = b"bidexdata"
 
 

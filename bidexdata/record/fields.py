@@ -110,7 +110,7 @@ _ALL = (
     _f("settled_touching", "float32", "", "", "", "synth", "grasps", "contact points of both hands that press then, mean over four places of the object"),
     _f("settled_turned", "float32", "", "rad", "", "synth", "grasps", "how far the object has turned then, mean over the same"),
     _f("contact_index", "int16", "H C", "", "", "synth", "contacts", "number of the hand's contact point; -1 behind those that the grasp is made with"),
-    _f("contact_point", "float32", "H C 3", "m", "object", "synth", "contacts", "object surface point closest to the contact point, at the grasp"),
+    _f("contact_point", "float32", "H C 3", "m", "object", "synth", "contacts", "object surface point closest to the contact point, at the grasp; the contact sphere need not touch it"),
     _f("contact_normal", "float32", "H C 3", "", "object", "synth", "contacts", "outward unit surface normal there"),
     _f("contact_force", "float32", "H C 3", "cap", "object", "synth", "contacts", "force on the object in the coupled zero-load QP, in units of the cap"),
     _f("force_scale", "float32", "H", "N", "", "synth", "contacts", "newtons per unit of contact_force: to G + extrapolate (G - G_pre) the squeeze adds the joint torques J^T f of these forces, and base_lead times what the base gives way under them; 0 where it adds neither"),

@@ -169,6 +169,7 @@ def run_info(one: NamedRun) -> RunInfo:
         seed=spec.seed,
         preset=spec.preset if spec.method in ("", DEFAULT_METHOD) else spec.method,
         setting=spec.setting,
+        rig=spec.rig.name if spec.rig is not None else "",
         library_fingerprint=spec.source_fingerprint,
         version=spec.versions.get("bidexdata", ""),
         config=spec.config,

@@ -1,10 +1,12 @@
 import doctest
+from dataclasses import replace
 
 import pytest
-from made_release import OBJECTS, made_release
+from made_release import OBJECTS, made_object, made_release
 
 from bidexdata.errors import UnknownChoice
 from bidexdata.formats import licences
+from bidexdata.formats.attribution import attribution_text
 from bidexdata.formats.licences import (
     NO_CHANGES,
     NON_COMMERCIAL,
@@ -17,6 +19,7 @@ from bidexdata.formats.licences import (
     licence_address,
     normal_licence,
 )
+from bidexdata.formats.object_table import object_row
 from bidexdata.formats.release import Release
 
 
@@ -99,6 +102,34 @@ def test_the_attribution_table_names_every_object(packed):
         assert row["author"] in line
         assert row["licence"] in line
     assert "[CC0-1.0](https://spdx.org/licenses/CC0-1.0)" in text
+
+
+def test_no_cell_of_the_attribution_table_is_empty():
+    nothing = dict.fromkeys(("source_name", "author", "uri"), "") | {"source": " "}
+    rows = [
+        {"object_id": "a-0", "licence": UNKNOWN, **nothing},
+        {"object_id": "b-0", "licence": "MIT", **nothing, "source": "shelf"},
+        {"object_id": "c-0", "licence": "MIT", **nothing, "uri": "https://made.example/c"},
+    ]
+    text = attribution_text("made", "1.0.0", rows, shapes=True)
+    cells = [[c.strip() for c in x.split("|")[1:-1]] for x in text.splitlines() if x[:3] == "| `"]
+    assert all(all(row) for row in cells)
+    assert [row[-1] for row in cells] == [UNKNOWN, "shelf", "https://made.example/c"]
+    assert "collection" in text
+
+
+@pytest.mark.parametrize(
+    ("known", "uri"),
+    [
+        ({"source": "https://made.example/a"}, "https://made.example/a"),
+        ({"source": "shelf"}, ""),
+        ({"source": "shelf", "uri": "https://made.example/b"}, "https://made.example/b"),
+        ({}, ""),
+    ],
+)
+def test_an_object_has_the_address_that_its_source_states(known, uri):
+    solid = made_object(OBJECTS[0])
+    assert object_row(replace(solid, provenance=known), "0")["uri"] == uri
 
 
 def test_ids_only_has_hashes_and_no_shape(tmp_path):

@@ -31,6 +31,7 @@ from bidexdata.formats.manifest import write_manifest
 from bidexdata.formats.object_table import shape_hash
 from bidexdata.formats.release import Release
 from bidexdata.formats.rows import ReleaseRows, RunInfo
+from bidexdata.formats.stored_parts import run_infos
 from bidexdata.formats.tables import SORTED_BY
 from bidexdata.record import Status
 from bidexdata.record.batch import BadRecord
@@ -150,7 +151,10 @@ def test_metrics_of_a_row_are_of_the_first_test_that_was_run_on_it(tmp_path):
 
 
 def test_runs_are_merged_and_kept_apart_in_the_table(tmp_path):
-    runs = [RunInfo("a", "1" * 16, PER_SCENE, seed=3), RunInfo("b", "2" * 16, None, preset="x")]
+    runs = [
+        RunInfo("a", "1" * 16, PER_SCENE, seed=3, rig="two_arms"),
+        RunInfo("b", "2" * 16, None, preset="x"),
+    ]
     out = made_release(
         tmp_path / "r",
         (OBJECT,),
@@ -159,6 +163,11 @@ def test_runs_are_merged_and_kept_apart_in_the_table(tmp_path):
     )
     release = Release.open(out)
     assert release.runs.to_pylist()[1]["grasps"] == -1
+    assert run_infos(release) == runs
+    assert release.runs.column("rig").to_pylist() == ["two_arms", ""]
+    card = (tmp_path / "r" / "DATASET_CARD.md").read_text()
+    assert "| a | - | floating | two_arms |" in card
+    assert "| b | x | floating | - |" in card
     names = release.index(columns=["run"]).column("run").to_pylist()
     assert sorted(set(names)) == ["a", "b"]
     assert names.count("a") == names.count("b") == PER_SCENE * len(SIZES)

@@ -16,7 +16,9 @@ from bidexdata.errors import BadConfig, ConfigConflict
 from bidexdata.record import Status
 from bidexdata.runs.arms import arms_run
 from bidexdata.runs.explain import explain_grasp
+from bidexdata.runs.finished import Finished
 from bidexdata.runs.info import describe
+from bidexdata.runs.pack_inputs import NamedRun, run_info
 from bidexdata.runs.run import Run
 from bidexdata.runs.stage import TaskExecution
 from bidexdata.runs.synth import SynthRequest
@@ -110,6 +112,7 @@ def test_run_json_names_the_rig_and_the_stages_behind_take_it(made: Run, solved:
     assert data["rig"]["name"] == "made"
     assert data["rig"]["rig"] == "../rig/made.yaml"
     assert describe(made.path)["made_for"] == "made"
+    assert run_info(NamedRun("run", made, Finished.of(made))).rig == "made"  # the release's runs
     assert solved.arm_rigs() == ("made",)
     shutil.copytree(solved.path / "arms" / "made", solved.path / "arms" / "ur10e_post")
     try:
