@@ -119,7 +119,7 @@ def _tables(
         str,
         typer.Option(
             metavar="NAME|FILE|none",
-            help="Whose arms grasps on a table are tested with; none: no test with arms.",
+            help="Arms that grasps on a table are made for (as synth --rig) and tested with; none: no arms.",
         ),
     ] = "ur10e_post",
     workers: options.Workers = 0,

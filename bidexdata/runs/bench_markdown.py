@@ -22,6 +22,7 @@ LEGEND = (
 WITH_ARMS = (
     "SUC-A: test a, the lift with two arms of the rig {rig}, whose motors do not feel gravity; a grasp "
     "that they do not reach without a collision is a failure. *Reachable*: the share that they reach. "
+    "Rows on a table are made for these arms: an attempt out of their reach is a failure before it. "
     "Rig, place and planner are ours: the paper names none."
 )
 WITHOUT_ARMS = "SUC-A was not tested: no rig was named."

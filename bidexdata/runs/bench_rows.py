@@ -103,11 +103,14 @@ class Row:
         base = load_preset(self.preset) if self.method == DEFAULT_METHOD else method.config()
         return with_overrides(base, assignments(self.changes))
 
-    def command(self, hand: str, sizes_mm: Sequence[int], grasps: int, seed: int) -> str:
+    def command(
+        self, hand: str, sizes_mm: Sequence[int], grasps: int, seed: int, rig: str = ""
+    ) -> str:
         """The command that makes such a run."""
         sizes = ",".join(f"{mm / 1000:g}" for mm in sizes_mm)
         words = ["bidexdata", "synth", "LIBRARY", "--out", "RUN", "--hand", hand, "--sizes", sizes]
         words += ["--grasps", str(grasps), "--setting", self.setting]
+        words += ["--rig", rig] if rig else []
         words += ["--seed", str(seed)] if seed else []
         words += ["--method", self.method] if self.method != DEFAULT_METHOD else []
         words += ["--preset", self.preset] if self.preset != "default" else []

@@ -53,8 +53,8 @@ class TablesRequest:
     """Objects of the library, the first in its order; None: all. May be another in every call."""
     seed: int = 0
     rig: str = ""
-    """Name or spec of the rig whose arms grasps on a table are tested with; empty: no test with
-    arms. May be another in every call."""
+    """Name or spec of the rig that grasps on a table are made for and tested with; empty: for none, and
+    no test with arms."""
 
     def __post_init__(self) -> None:
         if self.limit is not None and self.limit < 1:
@@ -112,7 +112,7 @@ def make_tables(
     failures = []
     for number, row in enumerate(rows, 1):
         say(f"row {number} of {len(rows)}, {row.name}: {row.title}, {row.setting}")
-        at = asked.rig if row.setting == "tabletop" else ""
+        at = _rig_of(row, asked)
         tests = row.tests(rig)
         failures += _make_row(opened, out / row.name, requests[row.name], at, tests, how)
     say(f"{REGIONS}: Q1 of region pairs")
@@ -154,7 +154,9 @@ def tables(
                 "setting": row.setting,
                 "base": row.base,
                 "changes": dict(row.changes),
-                "command": row.command(asked.hand, asked.sizes_mm, asked.grasps, asked.seed),
+                "command": row.command(
+                    asked.hand, asked.sizes_mm, asked.grasps, asked.seed, _rig_of(row, asked)
+                ),
                 **row_figures(row, _opened(out / row.name, rig), ids, rig),
             }
             for row in rows
@@ -182,7 +184,13 @@ def _request(row: Row, asked: TablesRequest) -> SynthRequest:
         setting=row.setting,
         grasps=asked.grasps,
         seed=asked.seed,
+        rig=_rig_of(row, asked),
     )
+
+
+def _rig_of(row: Row, asked: TablesRequest) -> str:
+    """The rig that a row's grasps are made for: arms need a table to stand at."""
+    return asked.rig if row.setting == "tabletop" else ""
 
 
 def _rig_name(asked: TablesRequest) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_armed import write_rig
 
 from bidexdata.cli.main import run as command
 from bidexdata.config import differing_keys, to_plain, with_overrides
@@ -265,6 +266,22 @@ def test_a_folder_of_another_configuration_is_refused_and_left_as_it_is(library,
     with pytest.raises(ConfigConflict, match=key):
         make_tables(library, made.json_file.parent, asked, execution=INLINE, rows=shortened())
     assert files_of(made.json_file.parent) == before
+
+
+def test_rows_on_a_table_are_made_for_the_rig_and_floating_ones_for_none(library, tmp_path):
+    rig, rows = write_rig(tmp_path / "rig"), tuple(r for r in shortened() if r.name in TABLE_2[1:])
+    asked = dataclasses.replace(ASKED, grasps=1, rig=str(rig))
+    found = make_tables(library, tmp_path / "out", asked, execution=INLINE, rows=rows)
+    floating, tabletop = (Run.open(tmp_path / "out" / name).spec for name in TABLE_2[1:])
+    assert floating.rig is None
+    assert tabletop.rig is not None
+    assert tabletop.rig.name == found.data["rig"] == "made"
+    commands = {name: row["command"] for name, row in found.data["rows"].items()}
+    assert f"--rig {rig}" in commands["ours_tabletop"]
+    assert "--rig" not in commands["ours_floating"]
+    without = dataclasses.replace(asked, rig="")
+    with pytest.raises(ConfigConflict, match="rig: 'made' -> ''"):
+        make_tables(library, tmp_path / "out", without, execution=INLINE, rows=rows)
 
 
 def test_a_library_run_or_release_is_no_folder_for_tables(library, made):
