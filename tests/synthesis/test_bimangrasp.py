@@ -7,7 +7,6 @@ from made_objects import box_object
 from bidexdata.config import with_overrides
 from bidexdata.errors import BadConfig
 from bidexdata.frames import matrix_from_quat
-from bidexdata.hands import load_hands
 from bidexdata.objects.distance_field import signed_distance, surface_normal
 from bidexdata.record import Scene
 from bidexdata.synthesis.baselines import annealing, bimangrasp, bimangrasp_starts
@@ -27,11 +26,6 @@ SLOPE = 0.03  # relative: the field is piecewise linear
 def config(*changes):
     few = ("energy.object_points=300", "energy.hand_points=60", "annealing.steps=60")
     return with_overrides(BimanGraspConfig(), [*few, *changes])
-
-
-@pytest.fixture(scope="module")
-def hands():
-    return load_hands("capsule")
 
 
 @pytest.fixture(scope="module")

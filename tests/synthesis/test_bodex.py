@@ -6,7 +6,6 @@ from made_objects import box_object
 
 from bidexdata.config import with_overrides
 from bidexdata.devices import start_warp
-from bidexdata.hands import load_hands
 from bidexdata.hands.kinematics import hand_points
 from bidexdata.record import Scene, Status
 from bidexdata.synthesis.baselines import bodex, bodex_starts
@@ -15,11 +14,6 @@ from bidexdata.synthesis.baselines.hull_points import along_normals, hull_points
 from bidexdata.synthesis.pipeline import synthesize
 
 SIZE_MM = 300
-
-
-@pytest.fixture(scope="module")
-def hands():
-    return load_hands("capsule")
 
 
 @pytest.fixture(scope="module")

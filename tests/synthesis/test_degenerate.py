@@ -8,7 +8,6 @@ import manifold3d
 import numpy as np
 import pytest
 
-from bidexdata.hands import load_hands
 from bidexdata.objects.closed import as_mesh
 from bidexdata.objects.config import PrepareConfig, SdfConfig
 from bidexdata.objects.prepare import prepare_object
@@ -39,11 +38,6 @@ SOURCES = {
     "ball of 5 mm": (as_mesh(manifold3d.Manifold.sphere(0.0025, 48)), (9, 800)),
     "box with a hole": (without_a_face(cube(0.3, 0.25, 0.2)), (300, 800)),
 }
-
-
-@pytest.fixture(scope="module")
-def hands():
-    return load_hands("capsule")
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ import torch
 
 from bidexdata.hands import load_hands
 from bidexdata.objects.distance_field import signed_distance
-from bidexdata.objects.prepare import prepare_object
 from bidexdata.record import Scene, Status
 from bidexdata.synthesis.pipeline import synthesize
 from bidexdata.synthesis.regions import RegionConfig, select_region_pairs
@@ -20,11 +19,6 @@ CONFIG = RegionConfig()
 NOWHERE = "cuda:99"
 GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no GPU")
 GRASPS = 8
-
-
-@pytest.fixture(scope="module")
-def obj():
-    return prepare_object("shapes:box")
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from bidexdata.config import with_overrides
-from bidexdata.hands import load_hands
 from bidexdata.hands.kinematics import hand_points
-from bidexdata.objects.prepare import prepare_object
 from bidexdata.record import Scene, Status
 from bidexdata.synthesis.config import SynthConfig
 from bidexdata.synthesis.explain import explain_attempt
@@ -28,16 +26,6 @@ CONFIG = with_overrides(
         "selection.largest_residual=100",
     ],
 )
-
-
-@pytest.fixture(scope="module")
-def hands():
-    return load_hands("capsule")
-
-
-@pytest.fixture(scope="module")
-def obj():
-    return prepare_object("shapes:box")
 
 
 @pytest.fixture(scope="module")

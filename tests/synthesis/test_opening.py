@@ -7,7 +7,6 @@ from made_objects import box_object
 from bidexdata.config import fingerprint, to_plain, with_overrides
 from bidexdata.errors import BadConfig
 from bidexdata.frames import matrix_from_quat
-from bidexdata.hands import load_hands
 from bidexdata.record import Scene
 from bidexdata.synthesis.forces import BaseGive
 from bidexdata.synthesis.opening import LEAST_CLOSING, closing_joints, opened, within_limits
@@ -19,11 +18,6 @@ from bidexdata.synthesis.staging import Press, StagingConfig, squeeze
 PALM, JOINTS = 0.01, 0.1
 FLOAT32 = 1e-5
 SHORT = ("regions.anchors=40", "optimise.approach.steps=20", "optimise.grasp.steps=10")
-
-
-@pytest.fixture(scope="module")
-def hands():
-    return load_hands("capsule")
 
 
 @pytest.fixture(scope="module")

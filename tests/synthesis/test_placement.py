@@ -8,7 +8,6 @@ from made_objects import ball_object, box_object
 
 from bidexdata import frames
 from bidexdata.errors import BadConfig
-from bidexdata.hands import load_hands
 from bidexdata.hands.kinematics import hand_points
 from bidexdata.objects.distance_field import signed_distance
 from bidexdata.record.scene import Scene
@@ -22,11 +21,6 @@ BOX = box_object()
 BALL = ball_object()
 # The grid's trilinear error at a box's edges: half a cell of 2.5 % of the diagonal.
 GRID = 0.0125
-
-
-@pytest.fixture(scope="module")
-def hands():
-    return load_hands("capsule")
 
 
 def start(obj, hands, size_mm=500, count=30, config=CONFIG, seed=1, **options):

@@ -7,8 +7,6 @@ import pytest
 
 from bidexdata.config import with_overrides
 from bidexdata.frames import matrix_from_quat
-from bidexdata.hands import load_hands
-from bidexdata.objects.prepare import prepare_object
 from bidexdata.record import Scene, Status
 from bidexdata.runs.plan import scene_of
 from bidexdata.synthesis.attempts import draw_attempts
@@ -37,16 +35,6 @@ class Arms:
         self.asked += [one.hand_pos for one in scenes]
         ok, no = np.int8(Status.OK), np.int8(Status.IK_GRASP)
         return [np.where(one.hand_pos[:, 0, 1, 2] > self.lowest, ok, no) for one in scenes]
-
-
-@pytest.fixture(scope="module")
-def hands():
-    return load_hands("capsule")
-
-
-@pytest.fixture(scope="module")
-def obj():
-    return prepare_object("shapes:box")
 
 
 @pytest.fixture(scope="module")

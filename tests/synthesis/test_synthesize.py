@@ -12,7 +12,6 @@ from bidexdata.hands.contact_sets import set_numbers
 from bidexdata.hands.kinematics import hand_points
 from bidexdata.hands.registry import spec_path
 from bidexdata.objects.distance_field import signed_distance
-from bidexdata.objects.prepare import prepare_object
 from bidexdata.record import Scene, Status
 from bidexdata.record.fields import FIELDS, columns_written_by
 from bidexdata.synthesis.attempts import grasp_ids, scene_seed
@@ -23,16 +22,6 @@ from bidexdata.synthesis.table import table_plane
 GRASPS = 3
 # Poses are stored as float32 of metres up to one.
 F32 = 1e-6
-
-
-@pytest.fixture(scope="module")
-def hands():
-    return load_hands("capsule")
-
-
-@pytest.fixture(scope="module")
-def obj():
-    return prepare_object("shapes:box")
 
 
 @pytest.fixture(scope="module")

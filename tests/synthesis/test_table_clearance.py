@@ -8,7 +8,6 @@ from made_objects import ball_object, box_object
 
 from bidexdata import frames
 from bidexdata.config import with_overrides
-from bidexdata.hands import load_hands
 from bidexdata.hands.kinematics import hand_points
 from bidexdata.pictures.drawing import hand_part
 from bidexdata.record import Scene, Status
@@ -26,11 +25,6 @@ OBJECTS = {"box": box_object(), "ball": ball_object(), "plate": box_object((1.0,
 F32 = 1e-6
 # The rounded ends of a drawn hand lie up to this much inside the true ones [m].
 FACETS = 1e-3
-
-
-@pytest.fixture(scope="module")
-def hands():
-    return load_hands("capsule")
 
 
 def on_table(obj, size_mm=400, quat=(1.0, 0.0, 0.0, 0.0)):
