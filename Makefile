@@ -34,6 +34,10 @@ demo: $(STAMP) ## the whole pipeline on built-in objects with the built-in hand,
 
 # A test process is one core's work: threads of native libraries would only wait in loops.
 test test-all: export OMP_NUM_THREADS ?= 1
+# Every test process imports hundreds of modules: it finds their byte code, also where the shell says
+# that none be written, and beside the checkout's own files there is none.
+test test-all: export PYTHONDONTWRITEBYTECODE :=
+test test-all: export PYTHONPYCACHEPREFIX ?= $(CURDIR)/$(VENV)/.bytecode
 
 test: $(TOOLS) ## the tests; under 10 minutes on 2 cores
 	$(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist loadfile tests

@@ -9,7 +9,6 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-import pytorch_kinematics
 import torch
 from made_release import OBJECTS, made_release
 
@@ -44,6 +43,8 @@ def test_links_are_where_both_other_engines_put_them(hand, rng, edge_joints):
     expected = (R @ body_pos[..., None])[..., 0] + pos[:, None]
     np.testing.assert_allclose(T[..., :3, 3], expected, atol=EXACT)
     assert np.array_equal(T[..., 3, :], np.broadcast_to([0, 0, 0, 1], T[..., 3, :].shape))
+    import pytorch_kinematics
+
     chain = pytorch_kinematics.build_chain_from_urdf(hand_urdf(hand)).to(dtype=torch.float64)
     angles = {n: torch.as_tensor(joints[:, k]) for k, n in enumerate(hand.joint_names)}
     placed = chain.forward_kinematics(angles)

@@ -1,8 +1,9 @@
-"""Prepared objects whose surface, hull and distances are known in closed form."""
+"""Prepared objects whose surface, hull and distances are known in closed form; read only."""
 
 from __future__ import annotations
 
 import itertools
+from functools import cache
 
 import numpy as np
 
@@ -19,6 +20,7 @@ _FACES = np.array(
 )  # fmt: skip
 
 
+@cache
 def box_object(sides=(1.0, 0.8, 0.6), points=2500, seed=0) -> PreparedObject:
     """A box at unit diagonal with its centre at the origin."""
     sides = np.array(sides) / np.linalg.norm(sides)
@@ -40,6 +42,7 @@ def box_object(sides=(1.0, 0.8, 0.6), points=2500, seed=0) -> PreparedObject:
     return _made(TriangleMesh(_CORNERS * sides, _FACES), at, normals, points, distance)
 
 
+@cache
 def ball_object(points=2500, seed=0) -> PreparedObject:
     """A ball whose bounding box has unit diagonal; its hull is the hull of the points."""
     from scipy.spatial import ConvexHull
