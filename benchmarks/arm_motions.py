@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from bidexdata import GraspBatch, Run
-from bidexdata.arms import ArmConfig, candidates, solve, ways_home
+from bidexdata.arms import ArmConfig, candidates, pairing, solve, ways_home
 from bidexdata.arms.arm_scene import SizedArmScenes
 from bidexdata.arms.registry import load_rig
 from bidexdata.arms.robot import Robot, mount_robot
@@ -39,10 +39,14 @@ STEPS = {
     "clearance of ways home": [(ways_home, "clear_at")],
     "planner": [(ways_home, "together")],
     "ways home": [(ways_home.WaysHome, "find"), (ways_home.WaysHome, "__init__")],
-    "clearance of pairs": [(solve, "apart_at"), (solve, "clear_at")],
-    "smoothing": [(solve.Smoother, "smooth")],
-    "MuJoCo": [(solve, "final_word")],
-    "pairs": [(solve._Pairing, "solve"), (solve._Pairing, "__init__")],
+    "clearance of pairs": [
+        (pairing, "apart_at"),
+        (pairing, "clear_at"),
+        (pairing, "clear_together"),
+    ],
+    "smoothing": [(pairing.Smoother, "smooth")],
+    "MuJoCo": [(pairing, "final_word")],
+    "pairs": [(pairing.Pairing, "solve"), (pairing.Pairing, "__init__")],
     "errors": [(solve, "_measure")],
     "scenes": [(SizedArmScenes, "at")],
 }

@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 
 from bidexdata.arms.chain import Chain, chain_forward
-from bidexdata.arms.clearance import Placed, clearance_between, clearances
+from bidexdata.arms.clearance import clearance_between, clearances
 from bidexdata.arms.generic_pairs import shape_grid
 from bidexdata.arms.inverse_kinematics import IkConfig, follow, solve_first, solve_ik
 from bidexdata.arms.reach_report import REASONS, reach_report
 from bidexdata.arms.registry import load_rig
 from bidexdata.arms.robot import Robot, mount_robot
+from bidexdata.arms.surroundings import Placed
 from bidexdata.config import fingerprint
 from bidexdata.frames import quat_angle, quat_from_matrix
 from bidexdata.hands import load_hands

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from bidexdata.arms.clearance import FAR, Placed, Surroundings, clear_at
+from bidexdata.arms.clearance import FAR, clear_at
 from bidexdata.arms.config import ArmConfig, just_above
 from bidexdata.arms.inverse_kinematics import (
     IkSolutions,
@@ -25,6 +25,7 @@ from bidexdata.arms.inverse_kinematics import (
 from bidexdata.arms.robot import Arm, Robot
 from bidexdata.arms.solutions import Grasps
 from bidexdata.arms.stand_offs import stand_offs
+from bidexdata.arms.surroundings import Placed, Surroundings
 from bidexdata.arms.waypoints import Poses, lifted, line
 from bidexdata.frames import matrix_from_quat
 from bidexdata.objects.prepared import SignedDistanceGrid
@@ -94,7 +95,7 @@ def ways(
     )
     if path.squeeze_palm == "fixed":
         squeeze = grasp
-    back = stand_offs(robot.hands[side], side, pregrasp, around, grasps, config)
+    back = stand_offs(robot.hands[side], side, pregrasp, around, config)
     frames = [back, pregrasp, grasp, squeeze, lifted(squeeze, path.lift)]
     _approach, *counts = path.knots
     parts = [Poses(back.pos[:, None], back.quat_wxyz[:, None])]
@@ -329,6 +330,8 @@ def _best_first(
 
 def _distinct(q: np.ndarray, ok: np.ndarray) -> np.ndarray:
     """Which postures are unlike all good ones before them, (N, S)."""
-    near = np.abs(q[:, :, None] - q[:, None]).max(axis=-1) < _ALIKE
-    before = np.tril(np.ones(near.shape[1:], bool), k=-1)
-    return ~(near & before & ok[:, None, :]).any(axis=2)
+    before = np.tril(np.ones((q.shape[1],) * 2, bool), k=-1)
+    near = before & ok[:, None, :]
+    for angle in np.moveaxis(q, 2, 0):  # joint by joint, which is sooner than all at once
+        near &= np.abs(angle[:, :, None] - angle[:, None]) < _ALIKE
+    return ~near.any(axis=2)

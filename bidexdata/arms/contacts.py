@@ -115,17 +115,12 @@ def arm_distances(
     found = np.empty((len(postures), 4))
     height, up = arms.scene.object_qpos + 2, None if rise is None else rise.ravel()
     low = float(data.qpos[height])
-    kinds = pair_kinds(arms, hands_touch=hands_touch)
-    owner = arms.scene.geom_owner
-    near = owner <= ARM
-    if not hands_touch:
-        near |= owner == arms.scene.object_owner
-    bodies = np.setdiff1d(model.geom_bodyid[near], [0])
+    kinds, new_masks, near, bodies = _looked_at(arms, hands_touch=hands_touch)
     masks = Masks(*(getattr(model, name).copy() for name in Masks._fields))
     model.geom_gap[near] = reach
     model.body_margin[bodies] = reach  # what the broad phase reads
     try:
-        _set_masks(model, _masks(arms, hands_touch=hands_touch))
+        _set_masks(model, new_masks)
         with engine_warnings_logged():
             for k in range(len(postures)):
                 place_joints(arms, postures[k], fingers[k])
@@ -174,9 +169,26 @@ def masks_of_kinds(arms: ArmScene, kinds: PairKinds) -> Masks | None:
     return Masks(contype, conaffinity, *of_bodies)
 
 
+class _LookedAt(NamedTuple):
+    """What a scene of arms is measured with."""
+
+    kinds: PairKinds
+    masks: Masks | None
+    near: NDArray[np.bool_]
+    """Geoms that are looked for before they touch, (G,)."""
+    bodies: NDArray[np.int64]
+    """Of these geoms, without the world."""
+
+
 @lru_cache(maxsize=4)
-def _masks(arms: ArmScene, *, hands_touch: bool) -> Masks | None:
-    return masks_of_kinds(arms, pair_kinds(arms, hands_touch=hands_touch))
+def _looked_at(arms: ArmScene, *, hands_touch: bool) -> _LookedAt:
+    kinds = pair_kinds(arms, hands_touch=hands_touch)
+    owner = arms.scene.geom_owner
+    near = owner <= ARM
+    if not hands_touch:
+        near |= owner == arms.scene.object_owner
+    bodies = np.setdiff1d(arms.scene.model.geom_bodyid[near], [0])
+    return _LookedAt(kinds, masks_of_kinds(arms, kinds), near, bodies)
 
 
 def _meet(contype: np.ndarray, conaffinity: np.ndarray) -> np.ndarray:

@@ -14,12 +14,13 @@ from jaxtyping import Bool, Float, Int8
 
 from bidexdata.arms.arm_scene import SizedArmScenes
 from bidexdata.arms.candidates import postures_near_rest
-from bidexdata.arms.clearance import FAR, Placed, Surroundings, apart_at, clear_at
+from bidexdata.arms.clearance import FAR, apart_at, clear_at
 from bidexdata.arms.config import ArmConfig
 from bidexdata.arms.inverse_kinematics import solve_ik
 from bidexdata.arms.robot import Robot
 from bidexdata.arms.solutions import Targets
 from bidexdata.arms.solve import solve_scenes
+from bidexdata.arms.surroundings import Placed, Surroundings
 from bidexdata.frames import matrix_from_quat
 from bidexdata.objects.prepared import SignedDistanceGrid
 from bidexdata.record.scene import Scene

@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from bidexdata.arms.clearance import Placed, clearance_between, clearances
+from bidexdata.arms.clearance import clearance_between, clearances
 from bidexdata.arms.generic_pairs import GenericPairs, draw_pairs, join_pairs, shape_grid
 from bidexdata.arms.inverse_kinematics import IkConfig, follow, solve_ik
 from bidexdata.arms.robot import Robot
+from bidexdata.arms.surroundings import Placed
 from bidexdata.frames import invert
 
 REASONS = ("ok", "reach", "lift", "self", "table", "object", "arms")

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from bidexdata.arms.clearance import Surroundings, room_of_ways
+from bidexdata.arms.clearance import room_of_ways
 from bidexdata.arms.config import ArmConfig
-from bidexdata.arms.solutions import Grasps
+from bidexdata.arms.surroundings import Surroundings
 from bidexdata.arms.waypoints import Poses, stand_off
-from bidexdata.hands.kinematics import hand_points
 from bidexdata.hands.model import Hand
 
 _HALF = float(np.sqrt(0.5))
@@ -31,7 +30,6 @@ def stand_offs(
     side: int,
     pregrasp: Poses,
     around: Surroundings,
-    grasps: Grasps,
     config: ArmConfig,
 ) -> Poses:
     """Give the stand-off of one hand of each grasp.
@@ -41,12 +39,12 @@ def stand_offs(
         side: Its place among the hands.
         pregrasp: Where it is before it closes.
         around: The object, and the hands as they are then.
-        grasps: The grasps.
         config: How far back, and how high.
     """
     rule = config.path
-    joints = grasps.joints[:, side, 0, : len(hand.joint_names)]
-    balls = hand_points(hand, joints).sphere @ np.swapaxes(pregrasp.rot, -1, -2)
+    held = around.held[side]
+    assert held is not None
+    balls = held.pos @ np.swapaxes(pregrasp.rot, -1, -2)
     below = np.max(hand.sphere_radius - balls[..., 2], axis=1)[:, None]
     palm = pregrasp.rot @ hand.T_hand_palm[:3, :3]
     up = np.broadcast_to([[0.0, 0.0, 1.0]], (len(palm), 1, 3))

@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from bidexdata.arms.chain import chain_forward
-from bidexdata.arms.clearance import Surroundings, clear_at
+from bidexdata.arms.clearance import clear_at
 from bidexdata.arms.config import ArmConfig, just_above
 from bidexdata.arms.inverse_kinematics import follow
 from bidexdata.arms.planner import planning, resampled, together, way_length
 from bidexdata.arms.robot import Robot
+from bidexdata.arms.surroundings import Surroundings
 from bidexdata.record.status import Status
 
 _KINDS = np.array([Status.COLLISION_TABLE, Status.COLLISION_OBJECT, Status.COLLISION_SELF])

@@ -13,16 +13,14 @@ from bidexdata.arms.assembly import arm_spec
 from bidexdata.arms.chain import chain_forward
 from bidexdata.arms.clearance import (
     FAR,
-    HeldHands,
-    Placed,
-    Surroundings,
     apart_at,
     clear_at,
+    clear_together,
     clearance_between,
     clearances,
-    clearances_reference,
-    held_spheres,
 )
+from bidexdata.arms.clearance_reference import clearances_reference, held_spheres
+from bidexdata.arms.surroundings import HeldHands, Placed, Surroundings
 from bidexdata.frames import matrix_from_quat, random_quat
 from bidexdata.hands.geometry import body_shapes, surface_samples
 from bidexdata.hands.kinematics import hand_points

@@ -1,0 +1,139 @@
+"""The spheres of an arm on a device, in groups, and where they are at given joint angles.
+
+World frame. Groups are the spheres of one body each, in a ball.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from bidexdata.arms.inverse_kinematics import chain_on_device
+from bidexdata.arms.robot import Arm
+from bidexdata.arms.surroundings import ROUNDING, vectors_on_device
+from bidexdata.devices import start_warp
+
+
+class PlacedArm(NamedTuple):
+    """One arm with its hand at M configurations, on a device."""
+
+    spheres: Any
+    """`SphereArrays` of the arm."""
+    hand: Any
+    """`HandArrays` of its hand."""
+    rows: Any
+    """Row of the surroundings that each configuration is of, (M,)."""
+    centre: Any
+    """Centres of spheres and balls in the world [m], (M, K)."""
+
+
+def place_arm(
+    arm: Arm, q: Float[np.ndarray, "M A"], rows: Any, hand: Any, device: str
+) -> PlacedArm:
+    """Place the spheres of an arm and its hand.
+
+    Args:
+        arm: The arm.
+        q: Configurations [rad].
+        rows: On the device, the row of `hand` that each is of.
+        hand: `HandArrays`.
+        device: A Warp device.
+    """
+    import warp as wp
+
+    from bidexdata.arms.clearance_kernels import place_arm_spheres
+
+    spheres = _spheres_on_device(arm, device)
+    held = hand.radius.shape[0]
+    width = len(arm.spheres.radius) + spheres.group_joint.shape[0] + (held + 1 if held else 0)
+    vector: Any = wp.vec3
+    centre = wp.empty((len(q), width), dtype=vector, device=device)
+    angles = wp.array(np.ascontiguousarray(q, np.float32), dtype=float, device=device)
+    wp.launch(
+        place_arm_spheres,
+        dim=len(q),
+        inputs=[chain_on_device(arm.chain, device), spheres, hand, angles, rows, centre],
+        device=device,
+    )
+    return PlacedArm(spheres, hand, rows, centre)
+
+
+@lru_cache(maxsize=16)
+def _spheres_on_device(arm: Arm, device: str) -> Any:
+    start_warp()
+    import warp as wp
+
+    from bidexdata.arms.clearance_kernels import SphereArrays
+
+    def numbers(values: Any, dtype: Any = int) -> Any:
+        kind = np.int32 if dtype is int else np.float32
+        return wp.array(np.ascontiguousarray(values, kind), dtype=dtype, device=device)
+
+    def vectors(values: list[Any] | np.ndarray) -> Any:
+        return vectors_on_device(np.array(values, np.float64), device, len(values))
+
+    arrays, spheres = SphereArrays(), arm.spheres
+    groups = _groups(arm)
+    pairs, pair_groups, pair_first = _grouped_pairs(arm, groups.first)
+    arrays.joint = numbers(spheres.joint)
+    arrays.pos = vectors(spheres.pos)
+    arrays.radius = numbers(spheres.radius, float)
+    arrays.pairs = numbers(pairs)
+    arrays.pair_groups = numbers(pair_groups)
+    arrays.pair_first = numbers(pair_first)
+    arrays.group_first = numbers(groups.first)
+    arrays.group_joint = numbers(spheres.joint[groups.first[:-1]])
+    arrays.group_pos = vectors(groups.pos)
+    arrays.group_radius = numbers(groups.radius, float)
+    arrays.fixture_pos = vectors([box.pos for box in arm.fixtures])
+    arrays.fixture_half = vectors([box.half for box in arm.fixtures])
+    arrays.first_group = int(np.searchsorted(groups.first[:-1], first_moving(arm)))
+    arrays.far_groups = int(np.searchsorted(groups.first[:-1], far_from_hand(arm)))
+    return arrays
+
+
+class _Groups(NamedTuple):
+    """Balls round the spheres of one body each."""
+
+    first: np.ndarray
+    """First sphere of each group, and the number of spheres."""
+    pos: np.ndarray
+    radius: np.ndarray
+
+
+def _groups(arm: Arm) -> _Groups:
+    spheres = arm.spheres
+    keys = list(zip(spheres.joint.tolist(), spheres.part, strict=True))
+    first = [k for k in range(len(keys)) if k == 0 or keys[k] != keys[k - 1]]
+    pos, radius = [], []
+    for a, b in pairwise([*first, len(keys)]):
+        own = spheres.pos[a:b]
+        middle = 0.5 * (own.min(axis=0) + own.max(axis=0))
+        pos.append(middle)
+        apart = np.linalg.norm(own - middle, axis=1) + spheres.radius[a:b]
+        radius.append(float(apart.max()) + ROUNDING)
+    return _Groups(np.array([*first, len(keys)]), np.array(pos), np.array(radius))
+
+
+def _grouped_pairs(arm: Arm, first: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs of spheres that may meet by the groups that they are of; those groups; where they begin."""
+    pairs = arm.spheres.against_self
+    of = np.searchsorted(first, pairs, side="right") - 1
+    order = np.lexsort((of[:, 1], of[:, 0]))
+    pairs, of = pairs[order], of[order]
+    starts = [k for k in range(len(of)) if k == 0 or (of[k] != of[k - 1]).any()]
+    return pairs, of[starts].reshape(-1, 2), np.array([*starts, len(pairs)])
+
+
+def first_moving(arm: Arm) -> int:
+    """The first sphere that a second joint of the chain, or a later one, moves."""
+    return int(np.searchsorted(arm.spheres.joint, 1))
+
+
+def far_from_hand(arm: Arm) -> int:
+    """Spheres, from the first on, that the hand of the arm may meet."""
+    return int(np.searchsorted(arm.spheres.joint, arm.chain.joints - 4, side="right"))
