@@ -28,6 +28,7 @@ from bidexdata.config import fingerprint, from_plain, to_plain
 from bidexdata.objects.prepared import PreparedObject
 from bidexdata.record.status import Status
 from bidexdata.runs.arms import arm_columns
+from bidexdata.runs.rigged import load_arm_kernels
 
 STEPS = {
     "inverse kinematics": [(candidates, "solve_ik"), (candidates, "solve_first")],
@@ -135,7 +136,7 @@ def measure(
 
 
 class _Warm:
-    """Solves two grasps once, so that kernels are compiled or loaded."""
+    """Loads kernels and solvers, and solves two grasps once."""
 
     def __init__(self, robot: Robot, config: ArmConfig) -> None:
         self.seconds = 0.0
@@ -145,6 +146,7 @@ class _Warm:
         if self.seconds:
             return
         start = time.process_time()
+        load_arm_kernels("cpu")
         some = batch.select(np.arange(min(2, len(batch))))
         arm_columns(some, obj.sdf, scenes, self._robot, self._config)
         self.seconds = time.process_time() - start

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from bidexdata.arms.clearance import FAR, clear_at
 from bidexdata.arms.config import ArmConfig, just_above
 from bidexdata.arms.inverse_kinematics import (
+    LEAST_ERROR,
     IkSolutions,
     even_spread,
     follow,
@@ -199,9 +200,10 @@ def postures_near_rest(arm: Arm, count: int, spread: float) -> Float[np.ndarray,
 
 def _stricter(config: ArmConfig) -> ArmConfig:
     """Accept a little less than is allowed, because kernels count in float32."""
-    ik = config.ik
-    ik = replace(ik, accept_pos=0.98 * ik.accept_pos, accept_rot=0.98 * ik.accept_rot)
-    return replace(config, ik=ik)
+    pos, rot = (
+        max(0.98 * most, LEAST_ERROR) for most in (config.ik.accept_pos, config.ik.accept_rot)
+    )
+    return replace(config, ik=replace(config.ik, accept_pos=pos, accept_rot=rot))
 
 
 def _follow_all(
@@ -334,4 +336,4 @@ def _distinct(q: np.ndarray, ok: np.ndarray) -> np.ndarray:
     near = before & ok[:, None, :]
     for angle in np.moveaxis(q, 2, 0):  # joint by joint, which is sooner than all at once
         near &= np.abs(angle[:, :, None] - angle[:, None]) < _ALIKE
-    return ~near.any(axis=2)
+    return np.asarray(~np.any(near, axis=2))

@@ -318,16 +318,24 @@ def follow_path(
     step_out: wp.array3d(dtype=float),
     reached_out: wp.array2d(dtype=int),
 ):
-    """Go through the waypoints of each row from each posture; stop where one is not reached."""
+    """Go through the waypoints of each row from each posture; stop where one is not reached.
+
+    Each begins where the step before would lead once more, from where most need one iteration less.
+    """
     n, s = wp.tid()
     q = Angles()
     for j in range(chain.count):
         q[j] = start_in[n, s, j]
+    guess = Angles()
+    onward = Angles()
     reached = wp.int32(0)
     going = wp.int32(1)
     for t in range(pos_in.shape[1]):
         if going == 1:
-            there, off, twist, _used = descend(chain, rules, q, pos_in[n, t], rot_in[n, t], 0.0)
+            for j in range(chain.count):
+                guess[j] = wp.clamp(q[j] + onward[j], chain.lower[j], chain.upper[j])
+            there, off, twist, _used = descend(chain, rules, guess, pos_in[n, t], rot_in[n, t], 0.0)
+            onward = there - q
             most = float(0.0)
             for j in range(chain.count):
                 most = wp.max(most, wp.abs(there[j] - q[j]))

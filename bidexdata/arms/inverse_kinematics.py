@@ -20,6 +20,9 @@ from bidexdata.arms.chain import Chain, chain_forward
 from bidexdata.config import refuse_outside
 from bidexdata.devices import start_warp
 
+LEAST_ERROR = 1e-6
+"""Least error that can be asked for [m] or [rad]: float32 angles place a hand to a micrometre."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IkConfig:
@@ -52,7 +55,8 @@ class IkConfig:
     rest_gain: float = 0.05
     """Share of the way to the rest posture that the redundant joints go in a step [-]."""
     jump: float = 0.2
-    """Largest turn of a joint between two waypoints of a path [rad]."""
+    """Largest turn of a joint between two waypoints of the reach report, which makes no motion
+    [rad]. Motions go by `PathConfig.largest_step`, between knots that lie nearer together."""
 
     def __post_init__(self) -> None:
         refuse_outside(self, "starts", 1, 1024)
@@ -60,9 +64,9 @@ class IkConfig:
         refuse_outside(self, "iterations", 1, 10_000)
         for name in ("tolerance_pos", "tolerance_rot", "length", "damping", "largest_step", "jump"):
             refuse_outside(self, name, 1e-9, 10)
-        # Float32 angles place a hand to a micrometre; 1 cm beside its grasp is another grasp.
-        refuse_outside(self, "accept_pos", 1e-6, 0.01)
-        refuse_outside(self, "accept_rot", 1e-6, 0.1)
+        # 1 cm beside its grasp is another grasp.
+        refuse_outside(self, "accept_pos", LEAST_ERROR, 0.01)
+        refuse_outside(self, "accept_rot", LEAST_ERROR, 0.1)
         refuse_outside(self, "damp_less", 1e-3, 1)
         refuse_outside(self, "damp_more", 1, 100)
         refuse_outside(self, "rest_gain", 0, 1)
@@ -231,10 +235,10 @@ def follow(
     *,
     device: str = "cpu",
 ) -> Followed:
-    """Go through waypoints from given postures, each from the one before.
+    """Go through waypoints from given postures, each from the one before and the step to it.
 
-    A path that turns a joint by more than `config.jump` between two waypoints is reported by its
-    `step`, not cut: the caller decides.
+    A path that turns a joint far between two waypoints is reported by its `step`, not cut: the caller
+    decides.
 
     Args:
         chain: The chain.

@@ -119,7 +119,7 @@ class WaysHome:
                 chain, goal[:, None], line, turns, self._config.ik, device=self._around.device
             )
             steps = np.nan_to_num(way.step[:, 0], nan=9.0).max(axis=1)
-            for k in np.flatnonzero(steps <= self._config.ik.jump):
+            for k in np.flatnonzero(steps <= self._config.path.largest_step):
                 corners = np.stack([chain.rest, *way.q[k, 0, ::-1], goal[k]])
                 tried.append(self._tried(int(n[k]), int(c[k]), corners))
         self._look(tried)

@@ -160,12 +160,13 @@ def object_scenes(robot: Robot, solid: Solid) -> SizedArmScenes | None:
 
 
 def load_arm_kernels(device: str) -> None:
-    """Load the arms' kernels, so that workers find them compiled."""
+    """Load the arms' kernels, so that workers find them compiled, and the solver of their paths."""
     import warp as wp
 
     start_warp()
     for name in _KERNELS:
         wp.load_module(import_module(name), device=device)
+    import_module("osqp")
 
 
 def heaviest_planned(library: Library, spec: RunSpec) -> float:

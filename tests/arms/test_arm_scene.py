@@ -203,7 +203,9 @@ def test_pairs_that_do_not_count_are_left_out_and_no_distance_changes(
     found = arm_distances(arms, q, joints, hands_touch=touch)
     for name, bits in zip(Masks._fields, before, strict=True):
         np.testing.assert_array_equal(getattr(model, name), bits)
-    monkeypatch.setattr(contacts, "_masks", lambda arms, *, hands_touch: None)
+    masks = contacts._looked_at(arms, hands_touch=touch)
+    assert masks.masks is not None
+    monkeypatch.setattr(contacts, "_looked_at", lambda *_, **__: masks._replace(masks=None))
     expected = arm_distances(arms, q, joints, hands_touch=touch)
     for name in found._fields:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))

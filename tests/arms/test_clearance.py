@@ -214,3 +214,19 @@ def test_a_lower_table_is_farther_by_as_much(made, rng):
     np.testing.assert_allclose(
         clearances(higher, q, None).table, clearances(arm, q, None).table + 0.1, atol=1e-5
     )
+
+
+@pytest.mark.parametrize("count", [0, 1, 7])
+def test_two_arms_together_have_the_least_clearance_of_each_and_of_both(robot, rng, count):
+    """Whatever the cap, bit for bit: the spheres are the same."""
+    held = tuple(held_hands(hand, rng, 3) for hand in robot.hands)
+    around = Surroundings(placed(rng, 3), held, rows=3)
+    left, right = (configurations(arm, rng, (count,)) for arm in robot.arms)
+    rows = rng.integers(0, 3, count)
+    for most in (FAR, 0.03):
+        found = clear_together(robot.arms, left, right, rows, around, most=most)
+        expected = apart_at(robot.arms, left, right, (rows, rows), around, most=most)
+        for side, (arm, q) in enumerate(zip(robot.arms, (left, right), strict=True)):
+            alone = clear_at(arm, q, rows, around, side, most=most)
+            expected = np.minimum(expected, alone.min(axis=0))
+        np.testing.assert_array_equal(found, expected)

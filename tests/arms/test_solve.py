@@ -12,9 +12,10 @@ from bidexdata.arms import ArmConfig, Targets
 from bidexdata.arms.chain import chain_forward
 from bidexdata.arms.config import PathConfig, SearchConfig
 from bidexdata.arms.generic_pairs import draw_pairs, shape_grid
-from bidexdata.arms.inverse_kinematics import IkConfig
+from bidexdata.arms.inverse_kinematics import LEAST_ERROR, IkConfig
 from bidexdata.arms.solutions import ArmSolutions
 from bidexdata.arms.solve import solve_arms, solve_scenes
+from bidexdata.errors import BadConfig
 from bidexdata.frames import invert, matrix_from_quat, quat_angle, quat_from_matrix
 from bidexdata.record.status import Status
 
@@ -75,6 +76,15 @@ def test_on_the_rigs_of_the_package_key_frames_are_reached_and_steps_are_small(r
             )
             assert np.linalg.norm(off, axis=1).max() < POS
             assert turn.max() < ROT
+
+
+@pytest.mark.parametrize("name", ["accept_pos", "accept_rot"])
+def test_the_least_error_that_can_be_asked_for_gives_a_status(made, name):
+    config = replace(CONFIG, ik=replace(CONFIG.ik, **{name: LEAST_ERROR}))
+    found = solve_arms(made, None, None, targets(made, count=1)[0], config)
+    assert np.isin(found.arm_status, [int(s) for s in Status]).all()
+    with pytest.raises(BadConfig, match=name):
+        IkConfig(**{name: 0.99 * LEAST_ERROR})
 
 
 def test_the_mirror_image_of_a_scene_has_the_mirror_image_of_its_motion(made):
