@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from bidexdata.arms.arm_scene import ArmScene, set_arms
 from bidexdata.arms.config import ArmConfig
 from bidexdata.arms.contacts import arm_distances
+from bidexdata.arms.fingers import fingers_at, key_places
 from bidexdata.arms.solutions import Grasps
 from bidexdata.record.status import Status
 
@@ -57,9 +58,7 @@ def final_word(
     pregrasp = approach + reach
     squeezed = pregrasp + close + squeeze
     number = np.arange(path.shape[1])
-    share = np.clip((number - pregrasp) / close, 0.0, 1.0)[:, None, None]
-    first, closed = grasps.joints[row, :, 0], grasps.joints[row, :, 1]
-    joints = first + share * (closed - first)
+    joints = fingers_at(grasps.joints[row], key_places(config.path.knots), "grasp")
     rise = np.maximum(number - squeezed, 0) / lift * config.path.lift
     set_arms(scene, grasps.object_pos[row], grasps.object_quat_wxyz[row], path[:, 0], joints[0])
     least = np.full(4, config.clearance.reach)

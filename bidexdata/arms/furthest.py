@@ -16,6 +16,7 @@ from bidexdata.arms.arm_scene import FIXTURE, ArmScene, set_arms
 from bidexdata.arms.candidates import Ways, ways
 from bidexdata.arms.config import ArmConfig
 from bidexdata.arms.contacts import ARMS, ITSELF, OBJECT, REACH, TABLE, arm_distances, pair_kinds
+from bidexdata.arms.fingers import fingers_at
 from bidexdata.arms.inverse_kinematics import solve_first
 from bidexdata.arms.motion import Moment
 from bidexdata.arms.robot import Robot
@@ -285,8 +286,7 @@ def _padded(robot: Robot, q: np.ndarray) -> Float[np.ndarray, " A"]:
 
 def _fingers(grasps: Grasps, number: np.ndarray) -> Float[np.ndarray, "T 2 J"]:
     """Fingers at places among the key frames: they do not close beyond the grasp [rad]."""
-    share = np.clip(number - _PREGRASP, 0.0, 1.0)[:, None, None]
-    return (1 - share) * grasps.joints[0, :, 0] + share * grasps.joints[0, :, 1]
+    return fingers_at(grasps.joints[0], number.astype(np.float64), "grasp")
 
 
 def _rise(number: np.ndarray, config: ArmConfig) -> Float[np.ndarray, " T"]:

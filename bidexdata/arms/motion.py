@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bidexdata.arms.chain import chain_forward
+from bidexdata.arms.fingers import fingers_at, key_places
 from bidexdata.arms.robot import Robot
 from bidexdata.frames import quat_from_matrix
 from bidexdata.pictures.posing import HandPoses
@@ -82,13 +83,8 @@ def motion_of(robot: Robot, batch: GraspBatch, row: int) -> Motion | None:
     time = np.asarray(batch["arm_time"][row], np.float64)
     knots = batch.header.arms[0].knots
     ends = np.cumsum([0, *knots])
-    stages = np.asarray(batch["joints"][row], np.float64)
-    number = np.arange(len(time))
-    _home, _standoff, pregrasp, grasp, squeeze, _lift = (int(n) for n in ends)
-    share = np.interp(number, [pregrasp, grasp, squeeze], [0.0, 1.0, 2.0])[:, None]
-    closing, pressing = np.clip(share, 0, 1), np.clip(share - 1, 0, 1)
-    pre, at, end = (stages[:, s, None] for s in range(3))
-    joints = (1 - closing) * pre + closing * ((1 - pressing) * at + pressing * end)
+    joints = fingers_at(batch["joints"][row], key_places(knots)).swapaxes(0, 1)
+    squeeze = int(ends[KEY_FRAMES.index("squeeze")])
     pos = np.repeat(np.asarray(batch["object_pos"][row], np.float64)[None], len(time), axis=0)
     height = np.mean([p.pos[:, 2] for p in hand_ways(robot, path)], axis=0)
     pos[squeeze:, 2] += height[squeeze:] - height[squeeze]  # it rises with the hands

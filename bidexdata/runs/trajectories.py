@@ -230,9 +230,12 @@ _FILES: Mapping[Form, str] = {
 row, `home` in the first; then `<side>/<joint>` [rad]: the arms with their wrists, then the fingers.
 """,
     "ros": """`<object_id>/<grasp_id>_<side>_arm.json` and `..._hand.json`: one message of type
-trajectory_msgs/JointTrajectory each, as JSON, which is YAML too. `velocities` [rad/s] are central
-differences of the positions, 0 at both ends. Joints have the names of the models, and both arms may have the
-same: rename them as your robot description does. Wrist joints of a hand are among those of its arm.
+trajectory_msgs/JointTrajectory each, as JSON, which is YAML too. Points have positions and times alone:
+between such points the joint_trajectory_controller of ros2_control goes in straight lines, which is how the
+motions were checked. With velocities it would take splines, which leave them by centimetres of the hand.
+Speed changes at the knots at once; a controller that bounds accelerations needs the times stretched.
+Joints have the names of the models, and both arms may have the same: rename them as your robot description
+does. Wrist joints of a hand are among those of its arm.
 """,
 }
 

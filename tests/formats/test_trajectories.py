@@ -16,7 +16,6 @@ from bidexdata.formats.exporters.trajectories import (
     joint_groups,
     phase_of_knots,
     ros_messages,
-    velocities,
 )
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.fields import KEY_FRAMES, PHASES
@@ -94,22 +93,14 @@ def test_messages_name_the_joints_of_each_controller_and_hold_the_same_angles(ro
         assert whole[0] == 0
         assert (np.diff(whole) > 0).all()
         np.testing.assert_allclose(whole * 1e-9, rows["arm_time"][0], atol=1e-8)
-        speeds = np.array([p["velocities"] for p in message["points"]])
-        assert speeds.shape == positions.shape
-        assert not speeds[[0, -1]].any()  # controllers refuse to end in motion
 
 
-def test_velocities_integrate_back_to_the_positions():
-    # Uneven knots of a motion that begins and ends at rest.
-    time = np.concatenate([np.linspace(0, 1, 41), 1 + np.linspace(0, 1, 21)[1:]])
-    path = np.stack([0.5 * (1 - np.cos(np.pi * time / 2)), np.sin(np.pi * time / 4) ** 4], axis=1)
-    speed = velocities(path, time)
-    steps = np.diff(time)[:, None] * (speed[1:] + speed[:-1]) / 2
-    back = path[0] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    np.testing.assert_allclose(back, path, atol=3e-3)  # of 1 rad, with steps of 25 and 50 ms
-    # What moves at one speed has it at every knot inside.
-    line = 0.3 * time[:, None]
-    np.testing.assert_allclose(velocities(line, time)[1:-1], 0.3, atol=1e-12)
+def test_a_controller_of_ros2_control_goes_in_straight_lines_between_the_points(rows):
+    # It takes a cubic where both ends of a segment give velocities, a quintic where also
+    # accelerations, and else a line. A message gives none, so that no segment is curved.
+    for _, message in ros_messages(rows, 0):
+        for point in message["points"]:
+            assert point["velocities"] == point["accelerations"] == point["effort"] == []
 
 
 def test_one_knot_per_phase_is_enough():

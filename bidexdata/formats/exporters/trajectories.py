@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from bidexdata.arms.fingers import fingers_at, key_places
 from bidexdata.record import GraspBatch
 from bidexdata.record.fields import PHASES
 
@@ -68,15 +69,7 @@ def finger_path(
         joints: At pre-grasp, grasp and squeeze [rad].
         knots: Of each phase of `PHASES`.
     """
-    of_phase = {"close": (0, 1), "squeeze": (1, 2), "lift": (2, 2)}
-    parts = [joints[:, :1]]  # home
-    for phase, count in zip(PHASES, knots, strict=True):
-        a, b = of_phase.get(phase, (0, 0))
-        share = np.arange(1, count + 1)[:, None] / count
-        part = joints[:, a, None] + share * (joints[:, b] - joints[:, a])[:, None]
-        part[:, -1] = joints[:, b]  # exactly
-        parts.append(part.astype(joints.dtype))
-    return np.concatenate(parts, axis=1)
+    return fingers_at(joints, key_places(knots)).swapaxes(0, 1).astype(joints.dtype)
 
 
 def phase_of_knots(knots: Sequence[int]) -> list[str]:
@@ -86,16 +79,6 @@ def phase_of_knots(knots: Sequence[int]) -> list[str]:
     ['home', 'approach', 'approach', 'reach', 'close', 'squeeze', 'lift']
     """
     return [HOME, *(p for p, count in zip(PHASES, knots, strict=True) for _ in range(count))]
-
-
-def velocities(
-    path: Float[np.ndarray, "W j"], time: Float[np.ndarray, " W"]
-) -> Float[np.ndarray, "W j"]:
-    """Speeds at the knots by central differences; at home and at the end of the lift 0 [rad/s]."""
-    time64 = time.astype(np.float64)
-    found = np.gradient(path.astype(np.float64), time64, axis=0)
-    found[[0, -1]] = 0
-    return found
 
 
 def csv_text(batch: GraspBatch, row: int) -> str:
@@ -115,22 +98,27 @@ def csv_text(batch: GraspBatch, row: int) -> str:
 def ros_messages(batch: GraspBatch, row: int) -> Iterator[tuple[str, dict[str, Any]]]:
     """One grasp's motion as `trajectory_msgs/JointTrajectory`, one message per controller.
 
+    Points have positions alone: between such points the joint trajectory controller of ros2_control
+    goes in straight lines, as the motion does, and by cubic splines where speeds are given too.
+
     Returns:
         `left_arm`, `right_arm`, `left_hand`, `right_hand`, each with its message as plain data.
+
+    Source:
+        ros2_controllers, joint_trajectory_controller/doc, "Trajectory representation".
     """
     time = batch["arm_time"][row]
     stamps = [divmod(round(float(t) * _SECOND), _SECOND) for t in time]
     for group in joint_groups(batch, row):
-        speeds = velocities(group.path, time)
         points = [
             {
                 "positions": [float(_number(q)) for q in angles],
-                "velocities": [float(_number(v)) for v in speed],
+                "velocities": [],
                 "accelerations": [],
                 "effort": [],
                 "time_from_start": {"sec": sec, "nanosec": nanosec},
             }
-            for (sec, nanosec), angles, speed in zip(stamps, group.path, speeds, strict=True)
+            for (sec, nanosec), angles in zip(stamps, group.path, strict=True)
         ]
         header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": FRAME}
         message = {"header": header, "joint_names": list(group.joint_names), "points": points}
