@@ -107,7 +107,7 @@ class MountSpec:
     wrist_rest: tuple[float, ...] = ()
     """Their angles at rest [rad]."""
     wrist_velocity: float = 2.0
-    """Their largest speed [rad/s]."""
+    """Their largest speed [rad/s]; Shadow's own URDF limits both joints so (sr_common, wrist and palm)."""
 
     def __post_init__(self):
         _require_turn(self.quat_wxyz, "MountSpec.quat_wxyz")
@@ -123,7 +123,10 @@ class MountSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixtureSpec:
-    """A post, beam or pedestal that stands still: an upright box. It stops arms and nothing else."""
+    """A post, beam or pedestal that stands still: an upright box.
+
+    It stops arms with their hands, and nothing else.
+    """
 
     pos: Vector
     """Middle, world [m]."""
@@ -149,7 +152,8 @@ class RigSpec:
     fixtures: tuple[FixtureSpec, ...] = ()
     exclude_contacts: tuple[tuple[str, str], ...] = ()
     """Pairs of bodies of one arm that never collide, besides those of the model: links whose
-    collision geometry always overlaps. The first moving link and the fixtures never collide."""
+    collision geometry always overlaps. The first moving link never collides with fixtures and
+    table: it turns on what stands on them."""
     right_arm: ArmSpec | None = field(default=None, metadata=OMIT_NONE)
     """The right arm, where it is another model."""
 
