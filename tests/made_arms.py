@@ -20,6 +20,8 @@ from bidexdata.record.fields import KEY_FRAMES, PHASES, columns_written_by
 
 KNOTS = (4, 2, 2, 1, 3)
 SECONDS = (1.0, 0.5, 0.4, 0.4, 1.0)
+PATH = PathConfig(knots=KNOTS, seconds=SECONDS, lift=0.001, standoff=0.01, largest_step=1.0)
+"""Chains of so few joints cannot lift a hand as it is turned: they stay, a millimetre short."""
 RIG = "made"
 _QUARTER = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
 
@@ -50,7 +52,7 @@ def made_rig() -> ReleaseRig:
         ArmHeader(RIG, "a" * 64, side, tuple(c["joint_names"]), c["wrist"], KNOTS)
         for side, c in chains.items()
     )
-    config = to_plain(ArmConfig(path=PathConfig(knots=KNOTS, seconds=SECONDS)))
+    config = to_plain(ArmConfig(path=PATH))
     spec = {"name": RIG, "description": "two made chains"}
     document = {"name": RIG, "digest": "a" * 64, "spec": spec, "config": config, "chains": chains}
     document["models"] = {s: {"licence": "Apache-2.0", "sha256": "b" * 64} for s in chains}
@@ -72,6 +74,8 @@ def made_motions(header: Header, ok: np.ndarray, rng: np.random.Generator) -> di
     for h, arm in enumerate(rig.arms):
         own = len(arm.joint_names)
         keys = rng.uniform(-0.5, 0.5, (len(rows), len(KEY_FRAMES), own)).astype(np.float32)
+        keys[:, KEY_FRAMES.index("standoff")] = keys[:, KEY_FRAMES.index("pregrasp")]
+        keys[:, KEY_FRAMES.index("lift")] = keys[:, KEY_FRAMES.index("squeeze")]
         c["arm_joints"][rows, h, :, :own] = keys
         for n, row in enumerate(rows):
             for j in range(own):
@@ -87,6 +91,7 @@ def made_motions(header: Header, ok: np.ndarray, rng: np.random.Generator) -> di
         c[name][rows] = rng.uniform(0, 0.02, len(rows))
     c["manipulability"][rows] = rng.random((len(rows), 2))
     c["ik_error_pos"][rows, :, 1:] = c["ik_error_rot"][rows, :, 1:] = 0
+    c["ik_error_pos"][rows, :, KEY_FRAMES.index("lift")] = PATH.lift
     assert len(PHASES) == len(KNOTS)
     return c
 

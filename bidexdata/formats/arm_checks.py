@@ -35,8 +35,11 @@ LARGEST = {"accept_pos": 0.01, "accept_rot": 0.1}
 """What a rig may say of it at most: the solver takes no more."""
 SLACK = 1.1
 """Factor beyond what the solver accepted, for what float32 and other engines add."""
-STAGE_OF = {"pregrasp": 0, "grasp": 1, "squeeze": 2}
-"""Key frames at which the hands are where a stage of the grasp has them."""
+PATH = {"lift": 0.10, "standoff": 0.12, "largest_step": 0.2, "squeeze_palm": "moves"}
+"""What a rig says of motions; these where it does not [m] [m] [rad]."""
+SAME = {"ik_error_pos": 1e-5, "ik_error_rot": 1e-4}
+"""By how much stored errors may differ from what is counted here: float32 at a metre [m] [rad]."""
+_STANDOFF = KEY_FRAMES.index("standoff")
 
 
 class _Solved(NamedTuple):
@@ -70,34 +73,80 @@ def arm_rows(release: Release) -> str:
         ok = group.select(status == Status.OK)
         motions += len(ok.ids)
         if ok.ids:
-            _check_motions(ok, rig.document["chains"])
+            _check_motions(ok, rig.document)
     return f"{counted(motions, 'motion')} of {counted(rows, 'row')} inside their limits"
 
 
 def arm_poses(release: Release) -> str:
-    """Place the hands from the stored angles, and compare them with the stored grasps."""
+    """Place the hands from the stored angles, and compare them with the stored grasps and errors."""
     if not release.rig:
         return "none"
     document = read_rig_files(release.path, release.header.arms).document
-    names = [name for name in STAGE_OF if name != "squeeze" or _palm_moves(document)]
-    accept_pos, accept_rot = _accepted(document)
     count, largest = 0, 0.0
     for group in _groups(release):
         ok = group.select(group.arms["arm_status"] == Status.OK)
-        for h, arm in enumerate(release.header.arms):
-            for name in names if ok.ids else ():
-                q = ok.arms["arm_joints"][:, h, KEY_FRAMES.index(name), : len(arm.joint_names)]
-                pos, rot = hand_poses(document["chains"][arm.side], q.astype(np.float64))
-                stage = STAGE_OF[name]
-                off = np.linalg.norm(pos - ok.grasps["hand_pos"][:, h, stage], axis=-1)
-                wanted = matrix_from_quat(ok.grasps["hand_quat_wxyz"][:, h, stage].astype(float))
-                trace = np.einsum("nij,nij->n", rot, wanted)
-                angle = np.arccos(np.clip((trace - 1) / 2, -1, 1))
-                where = f"the {arm.side} hand is not at its {name}"
-                ok.refuse((off > accept_pos) | (angle > accept_rot), where)
-                largest = max(largest, float(off.max()))
+        for h in range(len(release.header.arms)) if ok.ids else ():
+            largest = max(largest, _check_hand(ok, h, document))
         count += len(ok.ids)
     return f"hands of {counted(count, 'motion')} at most {1e3 * largest:.2f} mm from their grasps"
+
+
+def _check_hand(ok: _Solved, h: int, document: Mapping[str, Any]) -> float:
+    """Check where one arm has its hand at the key frames; the largest distance from there [m]."""
+    arm = ok.arms.header.arms[h]
+    accept_pos, accept_rot = _accepted(document)
+    q = ok.arms["arm_joints"][:, h, :, : len(arm.joint_names)].astype(np.float64)
+    placed = [hand_poses(document["chains"][arm.side], q[:, k]) for k in range(len(KEY_FRAMES))]
+    wanted, largest = _wanted(ok.grasps, h, _path(document)), 0.0
+    for name, (pos, rot) in wanted.items():
+        k = KEY_FRAMES.index(name)
+        off = np.linalg.norm(placed[k][0] - pos, axis=-1)
+        angle = _turn(placed[k][1], rot)
+        where = f"the {arm.side} hand is not at its {name}"
+        ok.refuse((off > accept_pos) | (angle > accept_rot), where)
+        largest = max(largest, float(off.max()))
+        for column, counted_here in (("ik_error_pos", off), ("ik_error_rot", angle)):
+            near = np.abs(ok.arms[column][:, h, k] - counted_here) <= SAME[column]  # False for NaN
+            ok.refuse(~near, f"its {column} is not what the {arm.side} hand is off at its {name}")
+    pos, rot = placed[_STANDOFF]
+    before, turned = wanted["pregrasp"]
+    far = _beyond(pos - before, _path(document)["standoff"] + accept_pos)
+    far |= _turn(rot, turned) > accept_rot
+    ok.refuse(far, f"the {arm.side} hand is not at a stand-off of its pre-grasp")
+    within = ok.arms["ik_error_pos"][:, h, _STANDOFF] <= accept_pos
+    within &= ok.arms["ik_error_rot"][:, h, _STANDOFF] <= accept_rot
+    ok.refuse(~within, f"the {arm.side} hand misses its stand-off by more than was accepted")
+    return largest
+
+
+def _wanted(
+    grasps: GraspBatch, h: int, path: Mapping[str, Any]
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Where a hand is to be at the key frames that a grasp decides: (N, 3) and (N, 3, 3)."""
+    pos = grasps["hand_pos"][:, h].astype(np.float64)
+    quat = grasps["hand_quat_wxyz"][:, h].astype(np.float64)
+    rot = matrix_from_quat(quat / np.linalg.norm(quat, axis=-1, keepdims=True))
+    pregrasp, grasp, squeeze = ((pos[:, s], rot[:, s]) for s in range(3))
+    if path["squeeze_palm"] == "fixed":
+        squeeze = grasp
+    lift = squeeze[0] + path["lift"] * np.array([0.0, 0.0, 1.0]), squeeze[1]
+    return {"pregrasp": pregrasp, "grasp": grasp, "squeeze": squeeze, "lift": lift}
+
+
+def _beyond(away: np.ndarray, distance: float) -> np.ndarray:
+    """Which ways (N, 3) [m] go farther than a distance; up they may, out of the table."""
+    below = np.concatenate([away[:, :2], np.minimum(away[:, 2:], 0.0)], axis=1)
+    return np.linalg.norm(below, axis=1) > distance
+
+
+def _turn(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Angle between rotations, (N,) [rad]."""
+    trace = np.einsum("nij,nij->n", first, second)
+    return np.arccos(np.clip((trace - 1) / 2, -1, 1))
+
+
+def _path(document: Mapping[str, Any]) -> Mapping[str, Any]:
+    return {**PATH, **document["config"].get("path", {})}
 
 
 def _accepted(document: Mapping[str, Any]) -> tuple[float, float]:
@@ -107,11 +156,8 @@ def _accepted(document: Mapping[str, Any]) -> tuple[float, float]:
     return SLACK * pos, SLACK * rot
 
 
-def _palm_moves(document: Mapping[str, Any]) -> bool:
-    return document["config"].get("path", {}).get("squeeze_palm", "moves") == "moves"
-
-
-def _check_motions(ok: _Solved, chains: Mapping[str, Any]) -> None:
+def _check_motions(ok: _Solved, document: Mapping[str, Any]) -> None:
+    chains, most = document["chains"], _path(document)["largest_step"]
     path = ok.arms["arm_path"]
     time = ok.arms["arm_time"]
     ok.refuse(~np.isfinite(time).all(axis=1), "its arm_time is not finite")
@@ -120,6 +166,13 @@ def _check_motions(ok: _Solved, chains: Mapping[str, Any]) -> None:
     )
     steps = np.nanmax(np.abs(np.diff(path, axis=2)), axis=(1, 2, 3), initial=0.0)
     ok.refuse(np.abs(steps - ok.arms["arm_step"]) > ANGLE, "its arm_step is not that of its path")
+    ok.refuse(steps > most + ANGLE, f"a joint turns by more than {most:g} rad from knot to knot")
+    ends = np.cumsum([0, *ok.arms.header.arms[0].knots])
+    keys = ok.arms["arm_joints"]
+    same = (path[:, :, ends] == keys) | (np.isnan(path[:, :, ends]) & np.isnan(keys))
+    ok.refuse(
+        ~same.all(axis=(1, 2, 3)), "its arm_joints are not those of its path at the key frames"
+    )
     for h, arm in enumerate(ok.arms.header.arms):
         own = len(arm.joint_names)
         chain = chains[arm.side]

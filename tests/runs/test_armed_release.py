@@ -11,7 +11,7 @@ import pytest
 from made_armed import made_run, write_rig
 
 from bidexdata.arms.chain import chain_forward
-from bidexdata.arms.config import ArmConfig
+from bidexdata.arms.config import ArmConfig, PathConfig
 from bidexdata.arms.inverse_kinematics import IkConfig
 from bidexdata.arms.solutions import no_solutions
 from bidexdata.cli.main import run as bidexdata
@@ -31,6 +31,7 @@ from bidexdata.runs.shards import read_shard, shard_path, write_shard
 from bidexdata.runs.stage import TaskExecution
 
 INLINE = TaskExecution(executor="inline", quiet=True)
+CONFIG = ArmConfig(path=PathConfig(lift=0.001, standoff=0.01))
 PACK = {
     "name": "armed",
     "version": "1.0.0",
@@ -49,17 +50,24 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def motions(batch, field, scenes, robot, config, device="cpu"):
-    """Random motions inside the limits for all rows with a grasp but the first."""
+    """Random motions inside the limits for all rows with a grasp but the first.
+
+    Hands are at the pre-grasp from the stand-off on, and stay at the squeeze: the lift of `CONFIG`
+    is a millimetre, which they may miss.
+    """
+    ends = np.cumsum([0, *config.path.knots])
     rng = np.random.default_rng(3)
     found = no_solutions(robot, config, len(batch))
     for row in np.flatnonzero(batch["synth_status"] == Status.OK)[1:]:
         for h, arm in enumerate(robot.arms):
             low, high = arm.chain.lower, arm.chain.upper
-            ends = low + (high - low) * rng.uniform(0.3, 0.7, (2, arm.chain.joints))
-            share = np.linspace(0, 1, found.arm_path.shape[2])[:, None]
-            path = ends[0] + 0.2 * share * (ends[1] - ends[0])
+            keys = low + (high - low) * rng.uniform(0.45, 0.55, (6, arm.chain.joints))
+            keys[1], keys[5] = keys[2], keys[4]
+            path = np.stack([np.interp(np.arange(ends[-1] + 1), ends, q) for q in keys.T], axis=1)
             found.arm_path[row, h, :, : arm.chain.joints] = path
-            found.arm_joints[row, h, :, : arm.chain.joints] = path[:: len(path) // 6][:6]
+            found.arm_joints[row, h, :, : arm.chain.joints] = path[ends]
+        found.ik_error_pos[row, :, 1:] = found.ik_error_rot[row, :, 1:] = 0
+        found.ik_error_pos[row, :, 5] = config.path.lift
         found.arm_time[row] = np.linspace(0, 3, found.arm_time.shape[1])
         steps = np.abs(np.diff(found.arm_path[row].astype(np.float32), axis=1))
         found.arm_step[row], found.arm_status[row] = np.nanmax(steps), Status.OK
@@ -81,7 +89,7 @@ def solved(library: Path, tmp_path: Path, monkeypatch) -> Run:
     monkeypatch.setattr(stage, "arm_columns", motions)
     made = made_run(library, tmp_path / "run")
     rig = write_rig(tmp_path / "rig")
-    stage.arms_run(made, rig, ArmConfig(), execution=INLINE)
+    stage.arms_run(made, rig, CONFIG, execution=INLINE)
     run = Run.open(made.path)
     robot = run.robot()
     for task in run.tasks:
@@ -173,7 +181,7 @@ def test_runs_of_different_rigs_are_packed_apart_or_by_name(solved: Run, library
         pack_runs(paths, tmp_path / "release", **PACK)
     with pytest.raises(UnknownName, match="other"):
         pack_runs(paths, tmp_path / "release", rig="made", **PACK)
-    stage.arms_run(other, write_rig(tmp_path / "rig"), execution=INLINE)
+    stage.arms_run(other, write_rig(tmp_path / "rig"), CONFIG, execution=INLINE)
     pack_runs(paths, tmp_path / "release", rig="made", form="parquet", **PACK)
     assert Release.open(tmp_path / "release").rig == "made"
 
@@ -227,6 +235,12 @@ def test_a_hand_may_be_as_far_off_as_the_solver_was_told_to_accept(
     solved: Run, tmp_path, accepted, legal
 ):
     off = 0.01 if accepted < 0.01 else 0.02  # beyond 1 cm no rig is believed
+    task = solved.tasks[0]
+    path = shard_path(solved.arms_folder(), task.task_id)
+    arms = solved.task_arms(task, solved.task_batch(task))
+    told = {n: c.copy() for n, c in arms.columns.items()}
+    told["ik_error_pos"][:, 1, KEY_FRAMES.index("grasp")] = off
+    write_shard(path, GraspBatch(arms.header, told).to_arrow(), solved.arms_mark())
     path = shard_path(solved.stage_folder("rows"), solved.tasks[0].task_id)
     batch = GraspBatch.from_arrow(read_shard(path))
     moved = {n: c.copy() for n, c in batch.columns.items()}
