@@ -33,6 +33,7 @@ from bidexdata.runs.made_with import package_versions
 from bidexdata.runs.plan import Task
 from bidexdata.runs.rigged import arm_config_of, load_arm_kernels, object_scenes, rig_meant
 from bidexdata.runs.run import Run, open_unchanged
+from bidexdata.runs.run_source import source_folder
 from bidexdata.runs.shards import done_tasks, shard_path, sweep, write_shard
 from bidexdata.runs.stage import StageReport, TaskExecution, TaskSummary, run_stage
 
@@ -167,23 +168,31 @@ def _of_one_scene(batch: GraspBatch, rows: np.ndarray) -> list[np.ndarray]:
 def heaviest_object(run: Run) -> float:
     """Mass of the heaviest object of a run's plan [kg], at the weight that its hands squeeze for.
 
-    Where neither the run nor its source says, that of the largest size at the density of `paper-1`.
+    Where the run does not say, at the density of `paper-1`.
     """
-    from bidexdata.arms.payload import HEAVIEST
     from bidexdata.runs.weights import weight_of_run
     from bidexdata.simulation.settings import SceneSettings
 
     kind, value = weight_of_run(run.spec) or ("density", SceneSettings().density)
     if kind == "mass":
         return value
-    if run.spec.of_release:
-        return HEAVIEST
     largest: dict[str, int] = {}
     for task in run.tasks:
         sizes = [scene_parts(scene).size_mm for scene in task.scene_ids]
         largest[task.object_id] = max([largest.get(task.object_id, 0), *sizes])
-    volumes = {i: run.library.row(i)["volume"] or 0.0 for i in largest}
+    volumes = _volumes(run)
     return max(value * volumes[i] * (mm / 1000) ** 3 for i, mm in largest.items())
+
+
+def _volumes(run: Run) -> dict[str, float]:
+    """Volumes at unit diagonal of the objects of a run's library or release; 0 where unknown."""
+    if not run.spec.of_release:
+        return {t.object_id: run.library.row(t.object_id)["volume"] or 0.0 for t in run.tasks}
+    from bidexdata.formats.release import Release
+
+    table = Release.open(source_folder(run.path, run.spec)).objects
+    columns = (table.column(name).to_pylist() for name in ("object_id", "volume"))
+    return {object_id: volume or 0.0 for object_id, volume in zip(*columns, strict=True)}
 
 
 def _check_rows(run: Run) -> None:
