@@ -48,7 +48,7 @@ def plan_way(
     Returns:
         The corners, ends included; None where no way was found.
     """
-    plan = planning(start, goal, lower, upper, config)
+    plan = planning(start, goal, lower, upper, config, straight=True)
     return together([plan], lambda postures, _of: free(postures))[0]
 
 
@@ -86,8 +86,20 @@ def planning(
     lower: Float[np.ndarray, " A"],
     upper: Float[np.ndarray, " A"],
     config: SearchConfig,
+    *,
+    straight: bool = False,
 ) -> Plan:
-    """The plan of one way; arguments as of `plan_way`."""
+    """The plan of one way; arguments as of `plan_way`.
+
+    Args:
+        start: [rad].
+        goal: [rad].
+        lower: [rad].
+        upper: [rad].
+        config: How.
+        straight: Try the straight line, which comes first, however far apart its ends are; whoever
+            plans because it is blocked has no use for it.
+    """
     nodes = _nodes(start, goal, lower, upper, config)
     kept = yield nodes
     if not kept[:2].all():
@@ -95,6 +107,8 @@ def planning(
     nodes = nodes[kept]
     length = _apart(nodes)
     open_ = _neighbours(length, config.neighbours)
+    open_[0, 1] |= straight
+    open_[1, 0] |= straight
     known = np.eye(len(nodes), dtype=bool)
     for _ in range(config.replans):
         way = _shortest(np.where(open_, length, np.inf))

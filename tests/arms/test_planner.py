@@ -31,10 +31,13 @@ def test_a_way_leads_round_a_wall_the_same_way_twice():
     np.testing.assert_array_equal(way, again)
 
 
-def test_without_a_wall_the_way_is_no_longer_than_the_straight_one():
-    way = plan_way(START, GOAL, LOW, HIGH, lambda q: np.ones(len(q), bool), CONFIG)
+@pytest.mark.parametrize("nodes", [0, 1, 200])
+def test_without_a_wall_the_way_is_the_straight_one(nodes):
+    everywhere = SearchConfig(nodes=nodes, spread=3.0)
+    way = plan_way(START, GOAL, LOW, HIGH, lambda q: np.ones(len(q), bool), everywhere)
     assert way is not None
-    assert way_length(way) >= 3.0
+    np.testing.assert_array_equal(way, [START, GOAL])
+    assert way_length(way) == 3.0
 
 
 def test_there_is_no_way_through_a_closed_wall_or_from_a_place_that_is_not_free():
@@ -52,7 +55,7 @@ def test_resampling_keeps_the_ends_and_takes_equal_steps_on_a_line(count):
 
 def test_plans_that_are_made_together_are_those_made_alone():
     goals = [GOAL, np.array([1.5, 1.0]), np.array([-0.1, 0.0]), np.array([1.0, -2.0])]
-    plans = [planning(START, goal, LOW, HIGH, CONFIG) for goal in goals]
+    plans = [planning(START, goal, LOW, HIGH, CONFIG, straight=True) for goal in goals]
     found = together(plans, lambda q, _of: beside_the_wall(q))
     for goal, way in zip(goals, found, strict=True):
         alone = plan_way(START, goal, LOW, HIGH, beside_the_wall, CONFIG)
