@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from bidexdata.frames import invert, matrix_from_quat, pos_quat, quat_canonical
-from bidexdata.hands import load_hands
 from bidexdata.objects.library import Library
 from bidexdata.record import GraspBatch, Header, Status
 from bidexdata.record.batch import empty_columns
@@ -30,10 +29,18 @@ GAPS = (0.05, 0.02, 0.0)
 PER_SCENE = 3
 
 
-def made_run(library: Path, out: Path, *, sizes=(300, 400), grasps=1, setting="tabletop") -> Run:
+def made_run(
+    library: Path,
+    out: Path,
+    *,
+    sizes=(300, 400),
+    grasps=1,
+    setting="tabletop",
+    hand="capsule",
+) -> Run:
     """Start a run, and fill the shards of all its tasks."""
     request = SynthRequest(
-        config=SynthConfig(), hand="capsule", sizes_mm=sizes, setting=setting, grasps=grasps
+        config=SynthConfig(), hand=hand, sizes_mm=sizes, setting=setting, grasps=grasps
     )
     run = start_run(Library.open(library), out, request)
     for task in run.tasks:
@@ -45,7 +52,7 @@ def made_run(library: Path, out: Path, *, sizes=(300, 400), grasps=1, setting="t
 
 def rows_of_task(run: Run, task) -> GraspBatch:
     """Per scene two grasps, from the sides y > 0 and y < 0, and an attempt without one."""
-    hands, obj = load_hands("capsule"), run.library.load(task.object_id)
+    hands, obj = run.hands(), run.library.load(task.object_id)
     header = Header(
         tuple(hand.header() for hand in hands),
         counts={scene: {"ok": 2, "no_placement": 1} for scene in task.scene_ids},
