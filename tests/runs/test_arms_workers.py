@@ -56,6 +56,7 @@ def assert_grasps_are_taken(run: Run) -> None:
     assert count >= 2
 
 
+@pytest.mark.slow
 def test_one_worker_and_two_give_the_same_bytes(library: Path, tmp_path: Path):
     rig = write_rig(tmp_path / "rig")
     assert_grasps_are_taken(assert_workers_change_nothing(library, tmp_path, str(rig), "capsule"))
