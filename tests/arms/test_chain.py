@@ -72,7 +72,7 @@ def test_the_jacobian_is_the_central_difference(robot, rng):
         np.testing.assert_allclose(chain_jacobian(chain, q), expected, atol=1e-7)
 
 
-def test_pytorch_kinematics_places_the_hand_in_the_same_place(robot, rng):
+def test_pytorch_kinematics_places_and_moves_the_hand_in_the_same_way(robot, rng):
     import pytorch_kinematics as pk
     import torch
     from chain_urdf import chain_urdf
@@ -84,6 +84,9 @@ def test_pytorch_kinematics_places_the_hand_in_the_same_place(robot, rng):
     pos, rot = chain_forward(chain, q)
     np.testing.assert_allclose(T[:, :3, 3], pos, atol=2e-6)
     np.testing.assert_allclose(T[:, :3, :3], rot, atol=2e-6)
+    # Both Jacobians are of the hand's origin in the frame that the chain begins in.
+    J = theirs.jacobian(torch.as_tensor(q)).numpy()
+    np.testing.assert_allclose(J, chain_jacobian(chain, q), atol=5e-6)
 
 
 def test_a_batch_is_its_rows(robot, rng):

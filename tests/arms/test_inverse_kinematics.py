@@ -249,39 +249,33 @@ def test_starts_lie_in_the_limits_and_the_first_of_many_are_those_of_few(robot):
     assert len(np.unique(many, axis=0)) == 256
 
 
-def test_mink_solves_what_we_solve(robot, rng):
+def mink_solutions(robot, pos, rot, start) -> np.ndarray:
+    """Which poses mink brings the left hand to from one posture, by daqp, in 60 iterations at most."""
     mink = pytest.importorskip("mink", reason="needs mink, of the extra dev")
     pytest.importorskip("daqp", reason="needs daqp, of the extra dev")
     from bidexdata.arms.assembly import arm_spec
 
     arm, hand = robot.arms[0], robot.hands[0]
-    chain = arm.chain
     model = arm_spec(robot.rig.spec, 0, arm.model, hand, arm.mount).compile()
     names = [model.joint(j).name.rpartition("/")[2] for j in range(model.njnt)]
-    address = [names.index(n) for n in chain.joint_names]
-    root = f"hand0/{hand.root_body}"
-    wanted = rng.uniform(chain.lower, chain.upper, (50, chain.joints))
-    pos, rot = chain_forward(chain, wanted)
-    ours = solve_first(chain, pos, rot, CONFIG)
-    both = 0
+    address = [names.index(n) for n in arm.chain.joint_names]
+    still = [j for j in range(model.nv) if j not in address]
+    task = mink.FrameTask(
+        f"hand0/{hand.root_body}", "body", position_cost=1.0, orientation_cost=0.3, lm_damping=1e-6
+    )
+    solved = np.zeros(len(pos), bool)
     for k in range(len(pos)):
-        # From our solution, shaken: mink comes back to the same pose.
         configuration = mink.Configuration(model)
         q = np.zeros(model.nq)
-        shaken = ours.q[k] + rng.normal(size=chain.joints) * 0.05
-        q[address] = np.clip(shaken, chain.lower, chain.upper)
+        q[address] = start[k]
         configuration.update(q)
-        task = mink.FrameTask(
-            root, "body", position_cost=1.0, orientation_cost=0.3, lm_damping=1e-6
-        )
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = rot[k], pos[k]
         task.set_target(mink.SE3.from_matrix(T))
-        still = [j for j in range(model.nv) if j not in address]
         for _ in range(60):
             error = task.compute_error(configuration)
             if np.linalg.norm(error[:3]) < 1e-3 and np.linalg.norm(error[3:]) < HALF:
-                both += bool(ours.ok[k])
+                solved[k] = True
                 break
             limits = [mink.ConfigurationLimit(model)]
             frozen = mink.DofFreezingTask(model, dof_indices=still)
@@ -289,4 +283,22 @@ def test_mink_solves_what_we_solve(robot, rng):
                 configuration, [task], 1.0, solver="daqp", limits=limits, constraints=[frozen]
             )
             configuration.integrate_inplace(speed, 1.0)
-    assert both >= 0.9 * ours.ok.sum()
+    return solved
+
+
+def test_mink_comes_back_to_what_we_solve(robot, rng):
+    chain = robot.arms[0].chain
+    pos, rot = targets(chain, rng, 30)
+    ours = solve_first(chain, pos, rot, CONFIG)
+    shaken = ours.q + 0.05 * rng.normal(size=ours.q.shape)
+    theirs = mink_solutions(robot, pos, rot, np.clip(shaken, chain.lower, chain.upper))
+    assert (theirs & ours.ok).sum() >= 0.9 * ours.ok.sum()
+
+
+def test_we_solve_whatever_mink_solves_from_the_rest_posture(robot, rng):
+    chain = robot.arms[0].chain
+    pos, rot = targets(chain, rng, 40)
+    theirs = mink_solutions(robot, pos, rot, np.tile(chain.rest, (len(pos), 1)))
+    ours = solve_first(chain, pos, rot, CONFIG)
+    assert theirs.sum() >= 8  # one start does not solve them all, and none would say nothing
+    assert ours.ok[theirs].all()
