@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import warp as wp
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -14,10 +15,20 @@ from made_rig import write_rig
 
 from bidexdata.arms.registry import load_rig
 from bidexdata.arms.robot import Robot, mount_robot
+from bidexdata.devices import start_warp
 from bidexdata.hands import load_hands
 
 REAL = {"ur10e_post": "shadow", "iiwa14_facing": "shadow", "xarm7_leap": "leap"}
 """Rigs of the package, and a hand that each carries."""
+
+
+start_warp()
+
+
+@pytest.fixture(params=[d.alias for d in wp.get_devices()])
+def device(request: pytest.FixtureRequest) -> str:
+    """Every Warp device of the machine, given by name: nothing may go to the default one instead."""
+    return request.param
 
 
 @pytest.fixture(scope="session")

@@ -18,12 +18,14 @@ from bidexdata.arms.clearance import (
     clear_together,
     clearance_between,
     clearances,
+    room_of_ways,
 )
 from bidexdata.arms.clearance_reference import clearances_reference, held_spheres
 from bidexdata.arms.surroundings import HeldHands, Placed, Surroundings
 from bidexdata.frames import matrix_from_quat, random_quat
 from bidexdata.hands.geometry import body_shapes, surface_samples
 from bidexdata.hands.kinematics import hand_points
+from bidexdata.objects.distance_field import signed_distance
 from bidexdata.objects.prepared import SignedDistanceGrid
 
 SINGLE = 2e-5  # float32 at a metre, through a grid
@@ -91,11 +93,14 @@ def test_spheres_move_with_their_links(robot, rng):
 
 
 @pytest.mark.parametrize("shape", [(1,), (7, 3), (5, 2, 4), (0, 3)])
-def test_the_kernels_give_what_the_reference_gives(robot, rng, shape):
+def test_the_kernels_give_what_the_reference_gives(robot, rng, shape, device):
     for arm in robot.arms:
         q = configurations(arm, rng, shape)
         around = placed(rng, shape[0])
-        found, expected = clearances(arm, q, around), clearances_reference(arm, q, around)
+        found, expected = (
+            clearances(arm, q, around, device=device),
+            clearances_reference(arm, q, around),
+        )
         for name in found._fields:
             np.testing.assert_allclose(
                 getattr(found, name), getattr(expected, name), atol=SINGLE, err_msg=name
@@ -103,25 +108,25 @@ def test_the_kernels_give_what_the_reference_gives(robot, rng, shape):
 
 
 @pytest.mark.parametrize("shape", [(1,), (5, 3), (4, 2, 3)])
-def test_hands_count_where_they_are_given(robot, rng, shape):
+def test_hands_count_where_they_are_given(robot, rng, shape, device):
     for arm, hand in zip(robot.arms, robot.hands, strict=True):
         q, around = configurations(arm, rng, shape), placed(rng, shape[0])
         held = held_hands(hand, rng, shape[0])
-        found = clearances(arm, q, around, held)
+        found = clearances(arm, q, around, held, device=device)
         expected = clearances_reference(arm, q, around, held)
         for name in found._fields:
             np.testing.assert_allclose(
                 getattr(found, name), getattr(expected, name), atol=SINGLE, err_msg=name
             )
-        alone = clearances(arm, q, around)
+        alone = clearances(arm, q, around, device=device)
         assert np.all(found.obj <= alone.obj)
         assert np.all(found.table <= alone.table)
 
 
-def test_clearances_that_need_not_be_known_are_given_as_the_most(made, rng):
+def test_clearances_that_need_not_be_known_are_given_as_the_most(made, rng, device):
     left, right = (configurations(arm, rng, (30,)) for arm in made.arms)
     held = tuple(held_hands(hand, rng, 30) for hand in made.hands)
-    around, rows = Surroundings(placed(rng, 30), held, rows=30), np.arange(30)
+    around, rows = Surroundings(placed(rng, 30), held, rows=30, device=device), np.arange(30)
     whole = clear_at(made.arms[0], left, rows, around)
     between = apart_at(made.arms, left, right, (rows, rows), around)
     for most in (-0.05, 0.0, 0.03, 0.2):
@@ -129,6 +134,25 @@ def test_clearances_that_need_not_be_known_are_given_as_the_most(made, rng):
         np.testing.assert_allclose(near, np.minimum(whole, most), atol=1e-7)
         near = apart_at(made.arms, left, right, (rows, rows), around, most=most)
         np.testing.assert_allclose(near, np.minimum(between, most), atol=1e-7)
+
+
+def test_room_along_a_way_is_that_of_the_hands_spheres(made, rng, device):
+    count, checks = 7, 6
+    held = held_hands(made.hands[0], rng, count)
+    around = placed(rng, count)
+    near = Surroundings(around, (held, None), rows=count, device=device)
+    pos = around.pos + rng.uniform(-0.4, 0.4, (count, 3))
+    rot, lines = matrix_from_quat(random_quat(rng, (count,))), rng.normal(size=(count, 3, 3)) * 0.1
+    rows = np.arange(count)
+    room, start = room_of_ways(near, 0, rows, pos, rot, lines, checks)
+    at = np.linspace(0, 1, checks + 1)[:, None, None]
+    for n, k in np.ndindex(count, 3):
+        balls = held.pos[n] @ rot[n].T + pos[n] + at * lines[n, k]
+        x = (balls - around.pos[n]) @ around.rot[n]
+        distance = signed_distance(around.field, float(around.size[n]), x.reshape(-1, 3))[0]
+        gaps = (distance.reshape(len(at), -1) - held.radius).min(axis=1)
+        assert abs(start[n, k] - gaps[0]) < SINGLE
+        assert abs(room[n, k] - gaps[1:].min()) < SINGLE
 
 
 def test_spheres_of_hands_move_as_the_hand_does(robot, rng):
@@ -140,12 +164,12 @@ def test_spheres_of_hands_move_as_the_hand_does(robot, rng):
         np.testing.assert_allclose(held_spheres(arm, q, held)[n, k], expected, atol=1e-12)
 
 
-def test_between_two_arms_hands_count_where_they_are_given(robot, rng):
+def test_between_two_arms_hands_count_where_they_are_given(robot, rng, device):
     shapes = ((4, 2), (3, 1))
     qs = [configurations(arm, rng, n) for arm, n in zip(robot.arms, shapes, strict=True)]
     held = tuple(held_hands(h, rng, n[0]) for h, n in zip(robot.hands, shapes, strict=True))
     pairs = np.array([[0, 0], [7, 2], [3, 1], [6, 1]], np.int32)
-    found = clearance_between(robot.arms, qs[0], qs[1], pairs, held)
+    found = clearance_between(robot.arms, qs[0], qs[1], pairs, held, device=device)
     centre, radius = [], []
     for arm, q, hand in zip(robot.arms, qs, held, strict=True):
         balls = [place_spheres(arm.chain, arm.spheres, q), held_spheres(arm, q, hand)]
@@ -161,12 +185,12 @@ def test_without_an_object_it_is_far(made, rng):
     assert np.all(clearances(made.arms[0], q, None).obj == FAR)
 
 
-def test_between_two_arms_it_is_the_least_gap_of_two_spheres(robot, rng):
+def test_between_two_arms_it_is_the_least_gap_of_two_spheres(robot, rng, device):
     left, right = (
         configurations(arm, rng, (n,)) for arm, n in zip(robot.arms, (4, 3), strict=True)
     )
     pairs = np.array([[0, 0], [3, 2], [1, 2], [1, 0]], np.int32)
-    found = clearance_between(robot.arms, left, right, pairs)
+    found = clearance_between(robot.arms, left, right, pairs, device=device)
     centre = [
         place_spheres(arm.chain, arm.spheres, q)
         for arm, q in zip(robot.arms, (left, right), strict=True)
@@ -205,14 +229,16 @@ def test_links_that_mujoco_sees_overlap_are_not_clear_by_spheres(robot, rng):
     assert seen > 0
 
 
-def test_a_lower_table_is_farther_by_as_much(made, rng):
+def test_a_lower_table_is_farther_by_as_much(made, rng, device):
     arm = made.arms[0]
     q = configurations(arm, rng, (6,))
     raised = arm.chain.before_pos.copy()
     raised[0, 2] += 0.1
     higher = replace(arm, chain=replace(arm.chain, before_pos=raised))
     np.testing.assert_allclose(
-        clearances(higher, q, None).table, clearances(arm, q, None).table + 0.1, atol=1e-5
+        clearances(higher, q, None, device=device).table,
+        clearances(arm, q, None, device=device).table + 0.1,
+        atol=1e-5,
     )
 
 

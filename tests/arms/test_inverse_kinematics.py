@@ -17,7 +17,6 @@ from bidexdata.arms.inverse_kinematics import (
     solve_ik,
     start_postures,
 )
-from bidexdata.devices import start_warp
 from bidexdata.frames import (
     matrix_from_quat,
     quat_from_matrix,
@@ -28,9 +27,6 @@ from bidexdata.frames import (
 
 CONFIG = IkConfig()
 HALF = np.radians(0.5)
-
-start_warp()
-DEVICES = [d.alias for d in wp.get_devices()]
 
 
 def targets(chain: Chain, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -44,7 +40,6 @@ def true_errors(chain, q, pos, rot):
     return np.linalg.norm(at - pos, axis=-1), angle
 
 
-@pytest.mark.parametrize("device", DEVICES)
 def test_99_of_100_reachable_poses_are_solved_to_1_mm_and_half_a_degree(robot, rng, device):
     for arm in robot.arms:
         pos, rot = targets(arm.chain, rng, 500)
@@ -142,30 +137,30 @@ def test_a_target_2_m_away_is_refused_with_finite_numbers(robot):
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 33])
-def test_a_batch_gives_what_its_rows_give_in_any_order(made, rng, count):
+def test_a_batch_gives_what_its_rows_give_in_any_order(made, rng, count, device):
     chain = made.arms[0].chain
     pos, rot = targets(chain, rng, count)
-    whole = solve_ik(chain, pos, rot, CONFIG)
+    whole = solve_ik(chain, pos, rot, CONFIG, device=device)
     assert whole.q.shape == (count, CONFIG.starts, chain.joints)
     order = rng.permutation(count)
-    turned = solve_ik(chain, pos[order], rot[order], CONFIG)
+    turned = solve_ik(chain, pos[order], rot[order], CONFIG, device=device)
     for name in whole._fields:
         np.testing.assert_array_equal(getattr(turned, name), getattr(whole, name)[order])
     for k in range(min(count, 5)):
-        one = solve_ik(chain, pos[k : k + 1], rot[k : k + 1], CONFIG)
+        one = solve_ik(chain, pos[k : k + 1], rot[k : k + 1], CONFIG, device=device)
         np.testing.assert_array_equal(one.q[0], whole.q[k])
-    first = solve_first(chain, pos, rot, CONFIG)
+    first = solve_first(chain, pos, rot, CONFIG, device=device)
     for k in np.flatnonzero(first.ok):
         np.testing.assert_array_equal(first.q[k], whole.q[k, first.tried[k] - 1])
 
 
-def test_the_kernels_do_what_the_float64_reference_does(robot, rng):
+def test_the_kernels_do_what_the_float64_reference_does(robot, rng, device):
     chain = robot.arms[0].chain
     pos, rot = targets(chain, rng, 40)
     start = 0.5 * (chain.lower + chain.upper)
     # Tight, so that both come to rest at the same place of a branch.
     config = replace(CONFIG, tolerance_pos=1e-5, tolerance_rot=1e-4, rest_gain=0.0, iterations=40)
-    found = solve_ik(chain, pos, rot, config, starts=start[None])
+    found = solve_ik(chain, pos, rot, config, starts=start[None], device=device)
     same = 0
     for k in range(len(pos)):
         expected = descend_reference(chain, pos[k], rot[k], start, config)
@@ -213,14 +208,13 @@ def test_the_pull_to_rest_brings_redundant_joints_nearer_to_rest(robot, rng):
     assert apart[1][both].mean() < apart[0][both].mean()
 
 
-def test_following_reaches_every_waypoint_without_a_jump_near_a_good_posture(robot):
+def test_following_reaches_every_waypoint_without_a_jump_near_a_good_posture(robot, device):
     for arm in robot.arms:
         chain = arm.chain
         pos, rot = chain_forward(chain, chain.rest)
         lift = pos + np.linspace(0, 0.1, 6)[1:, None] * [0, 0, 1.0]
-        paths = follow(
-            chain, chain.rest[None, None], lift[None], np.tile(rot, (1, 5, 1, 1)), CONFIG
-        )
+        turns = np.tile(rot, (1, 5, 1, 1))
+        paths = follow(chain, chain.rest[None, None], lift[None], turns, CONFIG, device=device)
         assert paths.reached[0, 0] == 5
         assert paths.step.max() < CONFIG.jump
         off, angle = true_errors(chain, paths.q[0, 0], lift, np.tile(rot, (5, 1, 1)))
@@ -228,12 +222,12 @@ def test_following_reaches_every_waypoint_without_a_jump_near_a_good_posture(rob
         assert angle.max() < HALF
 
 
-def test_following_stops_at_the_first_waypoint_out_of_reach_and_says_where(made):
+def test_following_stops_at_the_first_waypoint_out_of_reach_and_says_where(made, device):
     chain = made.arms[0].chain
     pos, rot = chain_forward(chain, chain.rest)
     line = pos + np.array([0.01, 0.02, 3.0, 0.03])[:, None] * [0, 0, 1.0]
     q = np.stack([chain.rest, chain.rest])[None]
-    paths = follow(chain, q, line[None], np.tile(rot, (1, 4, 1, 1)), CONFIG)
+    paths = follow(chain, q, line[None], np.tile(rot, (1, 4, 1, 1)), CONFIG, device=device)
     assert paths.reached.tolist() == [[2, 2]]
     assert np.isfinite(paths.q[0, :, :3]).all()
     assert np.isnan(paths.q[0, :, 3]).all()
