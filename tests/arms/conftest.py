@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from made_rig import write_rig
 
-from bidexdata.arms.registry import load_rig
+from bidexdata.arms.registry import load_rig, rig_names
 from bidexdata.arms.robot import Robot, mount_robot
 from bidexdata.devices import start_warp
 from bidexdata.hands import load_hands
@@ -44,6 +44,13 @@ def robot(request: pytest.FixtureRequest) -> Robot:
         return request.getfixturevalue("made")
     request.getfixturevalue("menagerie")
     return mount_robot(load_rig(request.param), load_hands(REAL[request.param]))
+
+
+@pytest.fixture
+def real_hands() -> dict[str, str]:
+    """A hand for each rig of the package."""
+    assert set(REAL) == set(rig_names())
+    return REAL
 
 
 @pytest.fixture

@@ -17,6 +17,8 @@ from bidexdata.arms.inverse_kinematics import (
     solve_ik,
     start_postures,
 )
+from bidexdata.arms.registry import load_rig, rig_names
+from bidexdata.arms.robot import mount_robot
 from bidexdata.frames import (
     matrix_from_quat,
     quat_from_matrix,
@@ -24,6 +26,7 @@ from bidexdata.frames import (
     rotation_vector_from_quat,
     rotation_with_z,
 )
+from bidexdata.hands import load_hands
 
 CONFIG = IkConfig()
 HALF = np.radians(0.5)
@@ -50,6 +53,21 @@ def test_99_of_100_reachable_poses_are_solved_to_1_mm_and_half_a_degree(robot, r
         np.testing.assert_allclose(found.error_pos, off, atol=1e-5)
         np.testing.assert_allclose(found.error_rot, angle, atol=2e-3)
         assert np.all((found.q >= arm.chain.lower) & (found.q <= arm.chain.upper))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", rig_names())
+def test_every_rig_of_the_package_solves_99_of_100_reachable_poses_with_16_starts(
+    name, rng, menagerie, real_hands
+):
+    assert CONFIG.starts == 16
+    robot = mount_robot(load_rig(name), load_hands(real_hands[name]))
+    for arm in robot.arms:
+        pos, rot = targets(arm.chain, rng, 4000)
+        found = solve_first(arm.chain, pos, rot, CONFIG)
+        off, angle = true_errors(arm.chain, found.q, pos, rot)
+        inside = ((found.q >= arm.chain.lower) & (found.q <= arm.chain.upper)).all(axis=1)
+        assert np.mean((off < 1e-3 + 1e-6) & (angle < HALF + 1e-5) & inside) >= 0.99
 
 
 def test_the_wrist_joints_of_the_shadow_hand_belong_to_the_chain(robot):
