@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from bidexdata.arms.chain import Chain, chain_frames
+from bidexdata.arms.keyed_cache import KeyedCache
 from bidexdata.hands.geometry import Shape, body_shapes
 from bidexdata.hands.model import FloatArray
 from bidexdata.hands.spec import SphereFitSpec
@@ -121,27 +121,17 @@ def shape_spheres(shapes: list[Shape]) -> tuple[FloatArray, FloatArray]:
         elif shape.kind in ("capsule", "cylinder"):
             found.append(_string(shape))
     if covered:
-        found.append(_covered(_key(covered), _Covered(covered)))
+        found.append(_COVERS.get(_key(covered), lambda: _covered(covered)))
     return np.concatenate([c for c, _ in found]), np.concatenate([r for _, r in found])
 
 
-class _Covered:
-    """Shapes, which the key beside them stands for: equal to any other."""
-
-    def __init__(self, shapes: list[Shape]) -> None:
-        self.shapes = shapes
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Covered)
-
-    def __hash__(self) -> int:
-        return 0
+def _covered(shapes: list[Shape]) -> tuple[FloatArray, FloatArray]:
+    """The cover of meshes and boxes."""
+    return cover(shapes, np.zeros((0, 3)), np.zeros(0), _MESH)
 
 
-@lru_cache(maxsize=64)
-def _covered(key: bytes, given: _Covered) -> tuple[FloatArray, FloatArray]:
-    """The cover of meshes and boxes; both arms of a rig are the same model as a rule."""
-    return cover(given.shapes, np.zeros((0, 3)), np.zeros(0), _MESH)
+_COVERS = KeyedCache[tuple[FloatArray, FloatArray]](64)
+"""Both arms of a rig are the same model as a rule."""
 
 
 def _key(shapes: list[Shape]) -> bytes:

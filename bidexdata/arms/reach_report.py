@@ -1,6 +1,6 @@
 """Which generic pairs of palm poses a robot can take, and what stands against the others.
 
-A pair counts as reached when both palms are, when both can be lifted by 0.10 m along a line without
+A pair counts as reached when both palms are, when both can be lifted as motions are along a line without
 a jump, and when no link touches the table, the object, the arm itself or the other arm on the way,
 by spheres. Postures from many starts are tried; a pair that fails has the reason that stopped the
 last of them.
@@ -14,8 +14,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bidexdata.arms.clearance import clearance_between, clearances
+from bidexdata.arms.config import ClearanceConfig, PathConfig
 from bidexdata.arms.generic_pairs import GenericPairs, draw_pairs, join_pairs, shape_grid
 from bidexdata.arms.inverse_kinematics import IkConfig, follow, solve_ik
+from bidexdata.arms.ranking import posture_cost
 from bidexdata.arms.robot import Robot
 from bidexdata.arms.surroundings import Placed
 from bidexdata.frames import invert
@@ -26,14 +28,11 @@ SIZES = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 """Bounding-box diagonals of the report [m]."""
 PAIRS = 50
 """Pairs per size."""
-LIFT = 0.10
-"""[m]."""
-WAYPOINTS = 5
-"""Waypoints along the lift [-]."""
+LIFT, WAYPOINTS = PathConfig().lift, PathConfig().knots[-1]
+"""Height [m] and waypoints of the lift: those of motions."""
 _KEPT = 4
 """Postures of each arm that are tried with those of the other."""
-_ENOUGH = 0.03
-"""Clearance beyond which more is no better [m]."""
+_ENOUGH = ClearanceConfig().enough
 
 
 class ReachReport(NamedTuple):
@@ -127,8 +126,8 @@ def _try_side(robot: Robot, h: int, pairs: GenericPairs, config: IkConfig, devic
                        ("lift", smooth), ("reach", found.ok)):  # fmt: skip
         gate[~good] = REASONS.index(name)
     room = np.minimum(np.minimum(table, obj), np.minimum(itself, _ENOUGH))
-    away = np.linalg.norm(found.q - arm.chain.rest, axis=-1)
-    return _Side(q, gate, np.where(gate == 0, away - 100.0 * room, np.inf))
+    rank = posture_cost(found.q, arm.chain.rest, room)
+    return _Side(q, gate, np.where(gate == 0, rank, np.inf))
 
 
 def _least(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from bidexdata.arms.arm_spheres import ArmSpheres, fit_arm_spheres
 from bidexdata.arms.assembly import add_arm, add_fixtures, arm_spec, top_body
 from bidexdata.arms.chain import Chain, read_chain
+from bidexdata.arms.keyed_cache import KeyedCache
 from bidexdata.arms.registry import Rig
 from bidexdata.arms.source import ArmMjcf
 from bidexdata.arms.spec import FixtureSpec, MountSpec, PlaceSpec
@@ -62,6 +62,9 @@ class Robot:
         return max(arm.chain.joints for arm in self.arms)
 
 
+_ROBOTS = KeyedCache[Robot](8)
+
+
 def mount_robot(
     rig: Rig,
     hands: Sequence[Hand],
@@ -83,7 +86,7 @@ def mount_robot(
         sides = ", ".join(hand.side for hand in hands) or "none"
         raise NotUsable(f"a rig carries a left and a right hand, in this order, not: {sides}")
     key = (rig.digest, *(hand.spec_hash for hand in hands))
-    return _mounted(key, _Given(rig, (hands[0], hands[1]), known))
+    return _ROBOTS.get(key, lambda: _mounted(key, rig, (hands[0], hands[1]), known))
 
 
 def robot_spec(robot: Robot, *, table: bool = True) -> mujoco.MjSpec:
@@ -102,24 +105,11 @@ def robot_spec(robot: Robot, *, table: bool = True) -> mujoco.MjSpec:
     return spec
 
 
-class _Given:
-    """Rig and hands, which the key beside them stands for: equal to any other."""
-
-    def __init__(self, rig: Rig, hands: tuple[Hand, Hand], known: Known | None) -> None:
-        self.rig, self.hands, self.known = rig, hands, known
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Given)
-
-    def __hash__(self) -> int:
-        return 0
-
-
-@lru_cache(maxsize=8)
-def _mounted(key: tuple[str, ...], given: _Given) -> Robot:
-    rig, hands = given.rig, given.hands
+def _mounted(
+    key: tuple[str, ...], rig: Rig, hands: tuple[Hand, Hand], known: Known | None
+) -> Robot:
     digest = hashlib.sha256(" ".join(key).encode()).hexdigest()
-    spheres = (given.known(digest) if given.known is not None else None) or (None, None)
+    spheres = (known(digest) if known is not None else None) or (None, None)
     left, right = (_arm(rig, hands[i], i, spheres[i]) for i in range(2))
     return Robot(rig, hands, (left, right), digest)
 

@@ -24,7 +24,7 @@ FIXTURE_COLOUR: Colour = (0.45, 0.45, 0.48)
 TABLE_COLOUR: Colour = (0.80, 0.80, 0.79)
 MARKED_COLOUR: Colour = (0.85, 0.12, 0.10)
 """Of bodies that are to be seen, such as those that collide."""
-FIXTURE, MARKED = "fixture", "marked"
+FIXTURE_LABEL, MARKED = "fixture", "marked"
 """Labels of parts."""
 _TABLE = 1.3
 """Radius of the table that is drawn; arms reach as far [m]."""
@@ -105,7 +105,7 @@ def room_parts(robot: Robot, *, marked: Collection[str] = ()) -> list[Part]:
         placed = vertices + np.array(box.pos)
         placed[:, 2] = np.maximum(placed[:, 2], max(_LOWEST, box.pos[2] - box.half[2]))
         colour = MARKED_COLOUR if fixture_name(number) in marked else FIXTURE_COLOUR
-        parts.append(mesh_part(placed, faces, colour, FIXTURE, smooth=False))
+        parts.append(mesh_part(placed, faces, colour, FIXTURE_LABEL, smooth=False))
     return parts
 
 

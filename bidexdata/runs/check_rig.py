@@ -29,12 +29,8 @@ if TYPE_CHECKING:
 
 CHECKS = ("model", "mounts", "payload", "rest", "engines", "reach")
 """All checks in their order."""
-OVERLAP = 0.001
-"""Deepest overlap of links at rest [m]: the simulation pushes them apart."""
 ENGINES = 1e-5
 """Largest difference between the engines [m]: float32 at a metre resolves 1e-7."""
-ALWAYS = 0.95
-"""Share of random postures from which on links that overlap are neighbours by design [-]."""
 LEAST_REACH = 0.5
 """Least share of generic pairs that a rig should reach [-]: a bad place gives 0.04, a good one over
 0.8."""
@@ -197,6 +193,7 @@ def _rest(robot: Robot) -> Finding:
     """Nothing overlaps at rest, and no two links always do."""
     import mujoco
 
+    from bidexdata.arms.arm_spheres import ALWAYS
     from bidexdata.arms.robot import robot_spec
 
     model = robot_spec(robot).compile()
@@ -229,9 +226,13 @@ def _rest(robot: Robot) -> Finding:
 def _overlaps(
     model: mujoco.MjModel, data: mujoco.MjData, robot: Robot
 ) -> dict[tuple[str, str], float]:
-    """Depth of the overlaps [m] that concern an arm, by the names of the bodies."""
+    """Depth of the overlaps [m] that concern an arm, by the names of the bodies.
+
+    As deep as a motion may not go: the simulation pushes links apart.
+    """
     import mujoco
 
+    from bidexdata.arms.config import ClearanceConfig
     from bidexdata.simulation.assembly import hand_prefix
 
     mujoco.mj_kinematics(model, data)
@@ -241,9 +242,10 @@ def _overlaps(
         hand_prefix(h) + name for h, hand in enumerate(robot.hands) for name in hand.body_names
     }
     found: dict[tuple[str, str], float] = {}
+    deepest = ClearanceConfig().depth
     for geoms, dist in zip(data.contact.geom, data.contact.dist, strict=True):
         bodies = [model.body(int(b)).name for b in model.geom_bodyid[geoms]]
-        if dist > -OVERLAP or set(bodies) <= hands:
+        if dist > -deepest or set(bodies) <= hands:
             continue
         named = [
             model.geom(int(g)).name if body == "world" else body

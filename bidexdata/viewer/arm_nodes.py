@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.arms.robot_shapes import FIXTURE, body_places, drawn_bodies, room_parts
+from bidexdata.arms.robot_shapes import FIXTURE_LABEL, body_places, drawn_bodies, room_parts
 from bidexdata.frames import quat_from_matrix
 from bidexdata.pictures.drawing import joined
 from bidexdata.viewer.nodes import add_part
@@ -34,9 +34,9 @@ class ArmNodes:
                     nodes[body.number] = add_part(scene, f"/arms/{body.name}", whole)
             self.bodies.append(nodes)
         self.fixtures = [
-            add_part(scene, f"/arms/{FIXTURE}{number}", part)
+            add_part(scene, f"/arms/{FIXTURE_LABEL}{number}", part)
             for number, part in enumerate(room_parts(robot))
-            if part.label == FIXTURE
+            if part.label == FIXTURE_LABEL
         ]
         self.show(False)
 
