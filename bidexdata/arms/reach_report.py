@@ -1,8 +1,8 @@
 """Which generic pairs of palm poses a robot can take, and what stands against the others.
 
-A pair counts as reached when both palms are, when both can be lifted as motions are along a line without
-a jump, and when no link touches the table, the object, the arm itself or the other arm on the way,
-by spheres. Postures from many starts are tried; a pair that fails has the reason that stopped the
+A pair counts as reached when both palms are, when both can be lifted along a line, as high as motions
+are, without a jump, and when no link touches the table, the object, the arm itself or the other arm on
+the way, by spheres. Postures from many starts are tried; a pair that fails has the reason that stopped the
 last of them.
 """
 

@@ -74,6 +74,10 @@ def test_messages_lie_by_arm_and_hand(armed, tmp_path):
         for name in names:
             message = json.loads((tmp_path / "out" / name).read_text())
             assert set(message) == {"header", "joint_names", "points"}
+            assert all(point["velocities"] == [] for point in message["points"])
+    text = (tmp_path / "out" / "README.md").read_text().replace("\n", " ")
+    assert "positions and times alone: between such points" in text
+    assert "in straight lines" in text
 
 
 def test_rows_are_chosen_by_split_and_by_what_test_a_said(armed, tmp_path):
