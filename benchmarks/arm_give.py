@@ -5,11 +5,13 @@
 The squeeze leads by what the weld of `paper-1` gives way (`staging.base_lead`); servos of an arm give way
 otherwise. Of the rows of a tabletop run that the arms of a rig have a motion to, test l is run on welds and
 test a on arms, once for each gain: `G`, or `ARM:WRIST`, is a multiple of the stiffness of the servos in the
-arms' models (`arm.arm_gain`, `arm.wrist_gain`). Printed are medians over hands at the end of the squeeze:
+arms' models (`arm.arm_gain`, `arm.wrist_gain`), before the protocol's bound on servos (`arm.servo_bound`);
+`--unbound` tests arms without that bound too. Printed are medians over hands at the end of the squeeze:
 how far the hand frame is from where it was commanded, how much it is turned, by how much the wrist alone turns
 it, and the sum of the normal forces of one hand on the object; in brackets the 95th percentile. Before it how
-fast the fastest joint of the arms still turns after the rest at the pre-grasp: servos that are too stiff for the time
-step never come to rest. Early ends of loads are on, as in `validate`.
+fast the fastest joint of the arms still turns after the rest at the pre-grasp, and at which share of all looks (one
+every 0.02 s) a motor of the arms is at its torque limit: servos that are too stiff for the time step never come to rest.
+Early ends of loads are on, as in `validate`.
 """
 
 from __future__ import annotations
@@ -44,6 +46,19 @@ from bidexdata.validation.verdict import Verdict
 WELD = "weld"
 
 
+class Carrying(NamedTuple):
+    """How the servos of arms differ from the models'."""
+
+    arm: float
+    wrist: float
+    bound: bool = True
+    """With the protocol's `servo_bound`."""
+
+    def __str__(self) -> str:
+        wrist = f", wrist x {self.wrist:g}" if self.wrist != self.arm else ""
+        return f"arms, gains x {self.arm:g}{wrist}{'' if self.bound else ', without the bound'}"
+
+
 class Given(NamedTuple):
     """What one grasp did on one carrier."""
 
@@ -62,6 +77,8 @@ class Given(NamedTuple):
     """Normal forces of each hand on the object, summed [N]."""
     speed: list[float]
     """Of each arm's fastest joint when the hands begin to close [rad/s]; NaN on a weld."""
+    limited: float
+    """Share of looks at which a motor of the arms is at its torque limit [-]; NaN on a weld."""
 
 
 class _Give:
@@ -71,9 +88,16 @@ class _Give:
         self._pos, self._rot, self._q, self._arms = pos, rot, q, arms
         nothing = [float("nan")] * len(pos)
         self.shift, self.turn, self.wrist, self.force = nothing, nothing, nothing, nothing
-        self.speed = nothing
+        self.speed, self._limited = nothing, list[bool]()
+
+    @property
+    def limited(self) -> float:
+        """Share of looks at which a motor is at its limit."""
+        return float(np.mean(self._limited)) if self._limited else float("nan")
 
     def __call__(self, phase: str, lasted: float, scene: SimScene) -> None:
+        if self._arms is not None:
+            self._limited.append(_at_limit(self._arms))
         if phase == "approach" and self._arms is not None:
             self.speed = [float(np.abs(scene.data.qvel[v]).max()) for v in self._arms.arm_qvel]
         if phase != "closing":
@@ -100,9 +124,9 @@ class _Give:
 
 
 def measure(
-    path: str, rig: str | None, gains: Sequence[tuple[float, float]], rows: int, workers: int
+    path: str, rig: str | None, arms: Sequence[Carrying], rows: int, workers: int
 ) -> list[Given]:
-    """Test the first rows by grasp_id, which is a hash, on the weld and on arms of each gain."""
+    """Test the first rows by grasp_id, which is a hash, on the weld and on each kind of arms."""
     run = Run.open(path, rig=rig)
     name = run.rig
     if not name:
@@ -114,7 +138,7 @@ def measure(
             ids += batch["grasp_id"][batch["arm_status"] == Status.OK].tolist()
     chosen = frozenset(sorted(ids)[:rows])
     with pool(workers) as executor:
-        parts = over_tasks(executor, run, _of_task, name, chosen, tuple(gains))
+        parts = over_tasks(executor, run, _of_task, name, chosen, tuple(arms))
     return [one for part in parts for one in part]
 
 
@@ -131,6 +155,7 @@ def summary(found: Sequence[Given]) -> dict[str, dict[str, Any]]:
             "wrist_deg": np.degrees([g.wrist for g in mine]),
             "force_n": np.array([g.force for g in mine]),
             "speed": np.array([g.speed for g in mine]),
+            "limited": 100 * np.array([g.limited for g in mine]),
         }
         statuses = sorted({g.status for g in mine} - {"ok"})
         out[carrier] = {
@@ -140,6 +165,7 @@ def summary(found: Sequence[Given]) -> dict[str, dict[str, Any]]:
             "passed_of_held": len(passed & held),
             **{f"{name}_median": _percentile(v, 50) for name, v in numbers.items()},
             **{f"{name}_p95": _percentile(v, 95) for name, v in numbers.items()},
+            "limited_mean": _mean(numbers["limited"]),
             "failed": {s: sum(g.status == s for g in mine) for s in statuses},
         }
     return out
@@ -149,19 +175,22 @@ def table(figures: dict[str, dict[str, Any]]) -> str:
     """The summary as Markdown."""
     lines = [
         "| what carries the hands | rows | lifted and held | of those that the weld holds |"
-        " at the pre-grasp a joint turns at [rad/s] | gives way [mm] | turns [degrees] |"
+        " at the pre-grasp a joint turns at [rad/s] | looks with a motor at its limit [%] |"
+        " gives way [mm] | turns [degrees] |"
         " the wrist alone [degrees] | normal forces of a hand [N] |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for carrier, f in figures.items():
         speed, shift, turn = (
             f"{_text(f[f'{n}_median'], digits)} ({_text(f[f'{n}_p95'], digits)})"
             for n, digits in (("speed", 2), ("shift_mm", 2), ("turn_deg", 1))
         )
+        limited, wrist, force = (
+            _text(f[name], 1) for name in ("limited_mean", "wrist_deg_median", "force_n_median")
+        )
         lines.append(
             f"| {carrier} | {f['rows']} | {f['passed']} | {f['passed_of_held']} of "
-            f"{f['held_by_weld']} | {speed} | {shift} | {turn} | {_text(f['wrist_deg_median'], 1)} | "
-            f"{_text(f['force_n_median'], 1)} |"
+            f"{f['held_by_weld']} | {speed} | {limited} | {shift} | {turn} | {wrist} | {force} |"
         )
     return "\n".join(lines)
 
@@ -171,7 +200,7 @@ def _of_task(
     number: int,
     rig: str,
     chosen: frozenset[str],
-    gains: tuple[tuple[float, float], ...],
+    arms: tuple[Carrying, ...],
 ) -> list[Given]:
     run = _opened(path, rig)
     task = run.tasks[number]
@@ -186,13 +215,17 @@ def _of_task(
         rows = batch.select(batch["size"] == size)
         weld = scene_of_rows(rows, solid, hands, protocol, "l")
         carriers: list[tuple[str, Protocol, ArmScene | None]] = [(WELD, protocol, None)]
-        for arm, wrist in gains:
+        for one in arms:
             assert protocol.arm is not None
-            rules = replace(protocol.arm, arm_gain=arm, wrist_gain=wrist)
+            rules = replace(
+                protocol.arm,
+                arm_gain=one.arm,
+                wrist_gain=one.wrist,
+                servo_bound=protocol.arm.servo_bound if one.bound else None,
+            )
             servos = servo_settings(rules)
             scene = build_arm_scene(robot, solid, float(size), protocol.scene, servos)
-            name = f"arms, gains x {arm:g}" + (f", wrist x {wrist:g}" if wrist != arm else "")
-            carriers.append((name, replace(protocol, arm=rules), scene))
+            carriers.append((str(one), replace(protocol, arm=rules), scene))
         for row in range(len(rows)):
             found += [_tested(rows, row, robot, weld, *carrier) for carrier in carriers]
     return found
@@ -219,6 +252,7 @@ def _tested(
         give.wrist,
         give.force,
         give.speed,
+        give.limited,
     )
 
 
@@ -236,6 +270,13 @@ def _run(
     pos, rot = (np.concatenate([end[k] for end in ends]) for k in range(2))
     give = _Give(pos, rot, q, arms)
     return give, lift_with_arms(ArmTest(weld, arms), protocol, grasp, Execution(), give)
+
+
+def _at_limit(arms: ArmScene) -> bool:
+    model, data = arms.scene.model, arms.scene.data
+    servos = np.concatenate(arms.arm_actuators)
+    torque, limit = data.actuator_force[servos], model.actuator_forcerange[servos, 1]
+    return bool((np.abs(torque) > 0.999 * limit).any())
 
 
 def _normal_forces(scene: SimScene) -> list[float]:
@@ -262,6 +303,10 @@ def _percentile(values: np.ndarray, percent: float) -> float | None:
     return float(np.nanpercentile(values, percent)) if np.isfinite(values).any() else None
 
 
+def _mean(values: np.ndarray) -> float | None:
+    return float(np.nanmean(values)) if np.isfinite(values).any() else None
+
+
 @cache
 def _opened(path: str, rig: str) -> Run:
     return Run.open(path, rig=rig)
@@ -286,10 +331,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("run")
     parser.add_argument("--rig")
     parser.add_argument("--gains", nargs="+", type=parse_gain, default=[(1.0, 1.0)])
+    parser.add_argument("--unbound", action="store_true", help="arms without `servo_bound` too")
     parser.add_argument("--rows", type=int, default=200, help="at most (%(default)s)")
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args(arguments)
-    found = measure(asked.run, asked.rig, asked.gains, asked.rows, asked.workers)
+    bounds = (True, False) if asked.unbound else (True,)
+    arms = [Carrying(*gain, bound) for gain in asked.gains for bound in bounds]
+    found = measure(asked.run, asked.rig, arms, asked.rows, asked.workers)
     figures = summary(found)
     print(table(figures))
     print(json.dumps(figures, indent=1))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import NDArray
 
 from bidexdata.arms.assembly import arm_prefix, fixture_name
 from bidexdata.arms.robot import Robot, robot_spec
@@ -39,6 +40,8 @@ from bidexdata.simulation.settings import SceneSettings
 if TYPE_CHECKING:
     import mujoco
 
+FloatArray = NDArray[np.float64]
+
 ARM = -2
 """Owner of the geoms of arm i is `ARM` - i."""
 FIXTURE = ARM - 2
@@ -57,6 +60,8 @@ class ServoSettings:
     """Multiple of the stiffness of the model's servos; their damping grows with its root [-]."""
     wrist_gain: float = 1.0
     """The same for wrist joints that belong to the hand [-]."""
+    servo_bound: float | None = None
+    """Bound on servos by the time step, see `_bound_servos` [-]; None: as in the arm's model."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -270,3 +275,47 @@ def _apply_servos(arms: ArmScene, servos: ServoSettings) -> None:
         model.actuator_gainprm[actuators, 0] *= gain
         model.actuator_biasprm[actuators, 1] *= gain
         model.actuator_biasprm[actuators, 2] *= np.sqrt(gain)
+    if servos.servo_bound is not None:
+        _bound_servos(arms, servos.servo_bound)
+
+
+def _bound_servos(arms: ArmScene, bound: float) -> None:
+    """Weaken the servos of arms whose damping is more than a time step can carry.
+
+    A motor at its torque limit F changes the speed of a joint of inertia I by F dt / I in a step. With
+    a damping of at most I / dt the servo answers that with no more than F; with more it drives the
+    motor into its other limit, step by step and without end. Stiffness falls with the damping: a
+    servo follows a moving target by damping / stiffness late, and joints that are late by unequal
+    times leave the path. I is what the motor feels at rest, all other joints free.
+
+    Args:
+        arms: The scene, reset; its model is written to.
+        bound: Multiple of I / dt [-].
+    """
+    model = arms.scene.model
+    servos = np.concatenate(arms.arm_actuators)
+    damping = -model.actuator_biasprm[servos, 2]
+    carried = bound * _felt_inertia(arms) / model.opt.timestep
+    share = carried / np.maximum(damping, carried)
+    model.actuator_gainprm[servos, 0] *= share
+    model.actuator_biasprm[servos, 1] *= share
+    model.actuator_biasprm[servos, 2] *= share
+
+
+def _felt_inertia(arms: ArmScene) -> FloatArray:
+    """Torque per acceleration of each joint of both arms at rest, 1 / (M^-1)_jj [kg m^2], (A0 + A1,).
+
+    It leaves the scene's data reset.
+    """
+    import mujoco
+
+    model, data = arms.scene.model, arms.scene.data
+    for i, arm in enumerate(arms.robot.arms):
+        data.qpos[arms.arm_qpos[i]] = arm.chain.rest
+        data.qpos[arms.scene.joint_qpos[i]] = arms.robot.hands[i].posture_open
+    mujoco.mj_fwdPosition(model, data)
+    dofs = np.concatenate(arms.arm_qvel)
+    torques, accelerations = np.eye(model.nv)[dofs], np.zeros((len(dofs), model.nv))
+    mujoco.mj_solveM(model, data, accelerations, torques)
+    mujoco.mj_resetData(model, data)
+    return 1 / accelerations[np.arange(len(dofs)), dofs]

@@ -65,6 +65,7 @@ def servo_settings(rules: ArmRules) -> ServoSettings:
         gravity_compensation=rules.gravity_compensation,
         arm_gain=rules.arm_gain,
         wrist_gain=rules.wrist_gain,
+        servo_bound=rules.servo_bound,
     )
 
 
@@ -79,7 +80,8 @@ def lift_with_arms(
 
     A grasp without a motion fails with the status of its arms and is not simulated. One that test l
     would pass fails with a status of arms too where these overlap table, object, each other or
-    themselves deeper than the protocol allows at any step; its `failed_stage` then says when.
+    themselves deeper than the protocol allows at any step; its `failed_stage` then says when, and
+    its load margin is 0.
 
     Args:
         scenes: Of the grasp's object and size.
@@ -91,17 +93,18 @@ def lift_with_arms(
     motion = grasp.motion
     assert motion is not None
     assert protocol.arm is not None
+    no_margin = 0.0 if execution.load_margin else np.nan
     if motion.status is not Status.OK:
-        return Verdict(motion.status, load_margin=0.0 if execution.load_margin else np.nan)
+        return Verdict(motion.status, load_margin=no_margin)
     refused = start_overlap(scenes.floating, protocol, grasp)
     if refused is not None:
-        return refused._replace(load_margin=0.0 if execution.load_margin else np.nan)
+        return refused._replace(load_margin=no_margin)
     overlaps = _Overlaps(scenes.arms, protocol.arm.depth, watch)
     moves = _arms(scenes.arms, protocol, grasp, motion, execution)
     verdict = lift_verdict(scenes.arms.scene, protocol, moves, execution, overlaps)
     if verdict.status is Status.OK and overlaps.first is not None:
         cause, stage, time = overlaps.first
-        return verdict._replace(status=cause, failed_stage=stage, time=time)
+        return verdict._replace(status=cause, failed_stage=stage, time=time, load_margin=no_margin)
     return verdict
 
 

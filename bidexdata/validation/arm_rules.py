@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from bidexdata.config import OMIT_NONE
 from bidexdata.errors import BadConfig
 
 
@@ -22,6 +23,10 @@ class ArmRules:
     """Multiple of the stiffness of the servos in the arm's model; damping grows with its root [-]."""
     wrist_gain: float = 1.0
     """The same for wrist joints of the hand, which move with the arm [-]."""
+    servo_bound: float | None = field(default=None, metadata=OMIT_NONE)
+    """Damping of a servo is at most this times I / dt, I being the inertia that the motor feels at
+    rest, and stiffness is scaled with it [-]; with more than 1 a motor that once reaches its torque
+    limit may swing between both limits for good. None: as in the arm's model."""
     settle: float = 0.2
     """Time at the pre-grasp before the hands close [s]."""
     wait: float = 1.0
@@ -36,9 +41,10 @@ class ArmRules:
                 "ArmRules.gravity_compensation must be a share from 0 to 1, not "
                 f"{self.gravity_compensation!r}"
             )
-        for name in ("arm_gain", "wrist_gain"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise BadConfig(f"ArmRules.{name} must be positive, not {getattr(self, name)!r}")
+        for name in ("arm_gain", "wrist_gain", "servo_bound"):
+            value = getattr(self, name)
+            if not (value is None or 0 < value < math.inf):
+                raise BadConfig(f"ArmRules.{name} must be positive, not {value!r}")
         for name in ("settle", "wait", "depth"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise BadConfig(

@@ -17,7 +17,7 @@ _PAPER = Protocol(
         "limits 5 cm and 15 degrees"
     ),
     tests=("f", "l", "a"),
-    arm=ArmRules(),
+    arm=ArmRules(servo_bound=1.0),
 )
 
 # DexGraspBench: hand_util.py, eval_func/{base,fc_mocap,tabletop_mocap}.py, assets/hand.

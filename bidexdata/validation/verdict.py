@@ -32,8 +32,8 @@ class Verdict(NamedTuple):
     time: float = np.nan
     """Simulated time of the failure since the start of its phase [s]; NaN on success."""
     load_margin: float = np.nan
-    """Largest multiple of the load that holds, 0 where the hands never closed on the object; NaN
-    where it was not measured."""
+    """Largest multiple of the load that holds, 0 where the hands never closed on the object, or
+    arms overlapped something; NaN where it was not measured."""
 
 
 def start_overlap(scene: SimScene, protocol: Protocol, grasp: Grasp) -> Verdict | None:

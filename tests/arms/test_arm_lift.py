@@ -154,8 +154,9 @@ def test_arms_that_overlap_something_do_not_succeed_and_say_when(tmp_path, made,
         arms=tuple(replace(a, rig_hash=robot.digest) for a in rows.header.arms),
     )
     blocked = GraspBatch(header, rows.columns)
-    out = judged(robot, blocked)
+    out = judged(robot, blocked, load_margin=True)
     assert out["verdict_status"][0] == Status.COLLISION_SELF
+    assert out["load_margin"][0] == 0.0  # at least 1 is another word for success
     assert out["failed_stage"][0] == TestStage.APPROACH
     assert not out["success"][0]
     assert np.isfinite(out["drift_pos"][0])
