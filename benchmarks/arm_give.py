@@ -336,7 +336,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args(arguments)
     bounds = (True, False) if asked.unbound else (True,)
-    arms = [Carrying(*gain, bound) for gain in asked.gains for bound in bounds]
+    arms = [Carrying(arm, wrist, bound) for arm, wrist in asked.gains for bound in bounds]
     found = measure(asked.run, asked.rig, arms, asked.rows, asked.workers)
     figures = summary(found)
     print(table(figures))

@@ -20,6 +20,7 @@ from bidexdata.validation.arm_lift import servo_settings
 from bidexdata.validation.arm_rules import ArmRules
 
 RULES = load_protocol("paper-1").arm
+assert RULES is not None
 UNBOUND = replace(RULES, servo_bound=None)
 STEP = 0.05
 """By which all targets jump at once [rad]; it drives the motors into their limits."""
