@@ -13,14 +13,17 @@ from made_rig import rig_data, write_rig
 from bidexdata.arms.arm_scene import build_arm_scene, command_arms, set_arms
 from bidexdata.arms.registry import load_rig
 from bidexdata.arms.robot import mount_robot
+from bidexdata.config import to_plain
 from bidexdata.errors import BadConfig
 from bidexdata.hands import load_hands
+from bidexdata.record.settings import differing_settings, settings_of_test
 from bidexdata.validation import load_protocol
 from bidexdata.validation.arm_lift import servo_settings
 from bidexdata.validation.arm_rules import ArmRules
 
-RULES = load_protocol("paper-1").arm
-assert RULES is not None
+PAPER = load_protocol("paper-1")
+assert PAPER.arm is not None
+RULES: ArmRules = PAPER.arm
 UNBOUND = replace(RULES, servo_bound=None)
 STEP = 0.05
 """By which all targets jump at once [rad]; it drives the motors into their limits."""
@@ -123,3 +126,11 @@ def test_a_bound_that_is_not_positive_is_refused():
     for bound in (0.0, -1.0, np.inf):
         with pytest.raises(BadConfig, match="servo_bound"):
             ArmRules(servo_bound=bound)
+
+
+def test_verdicts_from_before_the_bound_keep_their_mark_and_are_not_those_of_today():
+    old, new = (to_plain(replace(PAPER, arm=rules)) for rules in (UNBOUND, RULES))
+    assert "servo_bound" not in old["arm"]
+    assert differing_settings(old, new) == ["arm.servo_bound: None -> 1.0"]
+    assert settings_of_test(old, "a") != settings_of_test(new, "a")
+    assert settings_of_test(old, "l") == settings_of_test(new, "l")
