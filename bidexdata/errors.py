@@ -120,11 +120,16 @@ class ConfigConflict(BidexError):
 
     exit_code = 5
 
-    def __init__(self, folder: str | Path, differing: Sequence[str]):
+    def __init__(
+        self,
+        folder: str | Path,
+        differing: Sequence[str],
+        advice: str = "Use another --out, or the same settings as before",
+    ):
         self.folder, self.differing = Path(folder), tuple(differing)
         super().__init__(
             f"{folder} was made with another configuration; these keys differ: "
-            f"{'; '.join(self.differing)}. Use another --out, or the same settings as before"
+            f"{'; '.join(self.differing)}. {advice}"
         )
 
 

@@ -37,7 +37,11 @@ _ENERGY_HEADS = {
 
 
 def figure_lines(
-    figures: Mapping[str, Any], protocol: str = "", untested: str = "not validated yet"
+    figures: Mapping[str, Any],
+    protocol: str = "",
+    untested: str = "not validated yet",
+    *,
+    rig: str = "",
 ) -> list[str]:
     """Counts, rates over everything, one line per size, and what the words mean.
 
@@ -45,6 +49,7 @@ def figure_lines(
         figures: From `formats.figures`.
         protocol: Whose verdicts they count; empty when nothing is validated.
         untested: What to say where no rate is defined.
+        rig: Whose arms tests with arms were run with.
     """
     from bidexdata.formats.figures import rows_text
 
@@ -63,8 +68,8 @@ def figure_lines(
         if "object_success" in found:  # releases packed before do not state it
             rates += f"; object success {percent(found['object_success'])}"
         lines += [
-            f"test {test} of {protocol}: {rates}",
-            f"verdicts: {counts_text(found['by_verdict'])}",
+            f"{named_test(test, protocol, rig)}: {rates}",
+            *_verdict_lines(found),
             *_arm_lines(found),
         ]
     if tested:
@@ -84,6 +89,27 @@ def figure_lines(
     for setting, found in apart.items() if len(apart) > 1 else ():
         lines += _of_setting(setting, found, list(tested))
     return [*lines, *([legend] if known else [])]
+
+
+def named_test(test: str, protocol: str, rig: str = "") -> str:
+    """`test a of paper-1, arms of ur10e_post`; other tests know no arms."""
+    from bidexdata.record.fields import WITH_ARMS
+
+    arms = f", arms of {rig}" if rig and test in WITH_ARMS else ""
+    return f"test {test} of {protocol}{arms}"
+
+
+def _verdict_lines(found: Mapping[str, Any]) -> list[str]:
+    """Rows per verdict: of the selected ones, where that is stated, and of all that are stored."""
+    chosen = found.get("by_verdict_selected")  # of runs
+    every = f"verdicts of all {counted(sum(found['by_verdict'].values()), 'row')}: "
+    every += counts_text(found["by_verdict"])
+    if not chosen or chosen == found["by_verdict"]:
+        return [every]
+    return [
+        f"verdicts of {counted(sum(chosen.values()), 'selected row')}: {counts_text(chosen)}",
+        every,
+    ]
 
 
 def _of_setting(setting: str, found: Mapping[str, Any], tests: list[str]) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from bidexdata.cli import options
+from bidexdata.cli.arm_figures import arm_lines
 from bidexdata.cli.figures import attempt_lines, energy_lines, figure_lines
 from bidexdata.cli.groups import group_lines
 from bidexdata.cli.report import counts_text, finish, no_grasp_text, no_scene_text, validate_again
@@ -47,7 +48,8 @@ def info(
     failures (source_name, status, reason), warnings (source_name, warning); a run: fingerprint,
     hand, method, preset, changed (keys that --set changed), setting, rest_poses, without_scene (objects that no scene could be made of),
     without_grasp (scenes that no grasp was kept of), sizes_mm, grasps, candidates, seed, objects,
-    tasks, rig (whose arms the figures of test a are), made_for (the rig of synth --rig), done (per stage), made_with (per stage: a list of tasks, device, device_name and package
+    tasks, rig (whose arms the figures of test a are), rigs (all that have solutions), arms (of that rig, where
+    it has solutions: per all, selected and audit rows: n with a grasp, reachable, by_status, by_size), made_for (the rig of synth --rig), done (per stage), made_with (per stage: a list of tasks, device, device_name and package
     versions), unfinished (protocols whose validation was started and gave no verdict), figures, protocols; a release: name, version, schema_version, default_protocol,
     tests, splits, hands, rig (empty without arms), protocol (whose figures), figures. With --by also: by, groups (per protocol, test and group: rows, objects, selected,
     metrics).
@@ -114,14 +116,17 @@ def _run_lines(data: dict[str, Any]) -> list[str]:
         f"validation by {name} was started and no task has a verdict: {data['path']}/logs says why"
         for name in data["unfinished"]
     ]
+    lines += arm_lines(data["rig"], [r for r in data["rigs"] if r != data["rig"]], data["arms"])
     sizes = data["figures"]["by_size"]
     diagnosis = [*attempt_lines(sizes), *energy_lines(sizes)]
     if not data["protocols"]:
         return lines + figure_lines(data["figures"]) + diagnosis
     for protocol, figures in data["protocols"].items():
-        again = validate_again(data["path"], protocol)
+        rig = data["rig"] if len(data["rigs"]) > 1 else ""
+        again = validate_again(data["path"], protocol, rig)
         tested = f"{figures['tested_rows']} of {counted(figures['n'], 'row')}"
-        lines += figure_lines(figures, protocol, f"partly validated: {tested}; run {again} again")
+        partly = f"partly validated: {tested}; run {again} again"
+        lines += figure_lines(figures, protocol, partly, rig=data["rig"])
         if figures["untested_objects"]:
             lines.append(
                 f"not tested completely by {protocol}: "
@@ -149,7 +154,7 @@ def _release_lines(data: dict[str, Any]) -> list[str]:
         f"(schema {data['schema_version']}), objects: {splits}; hands {', '.join(data['hands'])}"
         f"{data['rig'] and '; arms of '}{data['rig']}"
     ]
-    return lines + figure_lines(data["figures"], data["protocol"])
+    return lines + figure_lines(data["figures"], data["protocol"], rig=data["rig"])
 
 
 _LINES = {"library": _library_lines, "run": _run_lines, "release": _release_lines}

@@ -61,8 +61,8 @@ RigName = Annotated[
     typer.Option(
         "--rig",
         metavar="NAME|FILE",
-        help="Whose arms, where a run has solutions of several rigs; when left out ur10e_post or "
-        "the only ones.",
+        help="Whose arms, where a run has solutions of several rigs; when left out those that it was "
+        "made for (synth --rig), else ur10e_post, or the only ones.",
     ),
 ]
 Json = Annotated[

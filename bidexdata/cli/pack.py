@@ -63,7 +63,7 @@ def pack(
     Croissant file and a manifest. Authors, date and address stand in the citation; nothing is
     taken from the clock. Objects that the licence policy leaves out are named.
 
-    --json keys: release, name, version, protocol, unfinished, untested, left_out (a list of object_id,
+    --json keys: release, name, version, protocol, rig (empty without arms), rigs_left_out, unfinished, untested, left_out (a list of object_id,
     licence), and all figures of the card (n, objects, scenes, suc_f, kept, by_size, by_status ...).
     """
     from bidexdata.formats.citation import About
@@ -105,12 +105,18 @@ def pack(
         "name": name,
         "version": version,
         "protocol": report.protocol,
+        "rig": report.rig,
+        "rigs_left_out": list(report.other_rigs),
         "unfinished": dict(report.unfinished),
         "untested": report.untested,
         "left_out": [o._asdict() for o in report.left_out],
         **report.figures,
     }
-    lines = [*figure_lines(report.figures, report.protocol), f"written to {report.path}"]
+    lines = figure_lines(report.figures, report.protocol, rig=report.rig)
+    if report.rig:
+        others = f" (left out: {', '.join(report.other_rigs)}; --rig)" if report.other_rigs else ""
+        lines.append(f"arms of {report.rig}{others}")
+    lines.append(f"written to {report.path}")
     following = command("verify", out)
     if report.half_tested:  # a release of what nobody has tested is rarely what was meant
         following = validate_again(report.half_tested[0].path, report.protocol)

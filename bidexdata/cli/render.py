@@ -71,6 +71,7 @@ def render(
     from typing import cast
 
     from bidexdata.errors import UnknownName
+    from bidexdata.runs.arm_pictures import STORED
     from bidexdata.runs.choose import Only
     from bidexdata.runs.render import render as draw
 
@@ -94,5 +95,14 @@ def render(
     objects = report.kind == "library"
     shown = counted(len(report.shown), "object" if objects else "grasp")
     lines = [f"{report.out}: {shown}, {report.drawn_by}, {report.seconds:.1f} s"]
-    following = command("synth", path, "--out", "RUN") if objects else command("view", path)
+    following = command("view", path, *report.rig)
+    if objects:
+        following = command("synth", path, "--out", "RUN")
+    elif report.motions:
+        lines.append(
+            f"it shows {STORED}: in the lift the object is drawn as if it rose with the hands"
+        )
+        if report.kind == "run":
+            again = ("--replay", report.shown[0], "--tests", "a", "--video", "FILE.mp4")
+            following = command("validate", path, *again, *report.rig)
     finish(report.as_dict(), lines, following=following, as_json=as_json, quiet=quiet)

@@ -61,15 +61,21 @@ def free_name(name: str) -> str:
     return next(n for n in itertools.chain([name], others) if not Path(n).exists())
 
 
-def validate_again(run: str | Path, protocol: str) -> str:
-    """The command that gives a run its verdicts of a protocol that it has some of."""
+def validate_again(run: str | Path, protocol: str, rig: str = "") -> str:
+    """The command that gives a run its verdicts of a protocol that it has some of.
+
+    Args:
+        run: The run.
+        protocol: Which.
+        rig: Whose arms, where that must be said.
+    """
     from bidexdata.runs.chosen import DEFAULT_PROTOCOL
     from bidexdata.validation.protocols import WARP_SUFFIX
 
     base = protocol.removesuffix(WARP_SUFFIX)
     named = () if base == DEFAULT_PROTOCOL else ("--protocol", base)
     engine = () if base == protocol else ("--backend", "mujoco_warp")
-    return command("validate", run, *named, *engine)
+    return command("validate", run, *named, *engine, *(("--rig", rig) if rig else ()))
 
 
 def warn(text: str) -> None:

@@ -19,7 +19,6 @@ from bidexdata.cli.report import (
     finish,
     no_grasp_text,
     no_scene_text,
-    refuse_nothing,
     validate_again,
     warn_of_failed,
 )
@@ -74,7 +73,8 @@ def synth(
         str | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="tabletop: make grasps that these two arms can take; `bidexdata rigs` lists them.",
+            help="tabletop: make grasps that these two arms can take; `bidexdata rigs` lists them, a YAML "
+            "file of your own works.",
         ),
     ] = None,
     device: Annotated[str, typer.Option(help="cpu, or cuda:0 where there is one.")] = "cpu",
@@ -136,6 +136,7 @@ def synth(
         _explain(library, out, explain, device, as_json=as_json, quiet=quiet)
         return
     started = time.perf_counter()
+    from bidexdata.errors import NothingSucceeded
     from bidexdata.formats.attempts import sized_attempts
     from bidexdata.record.scene import setting_of
     from bidexdata.record.status import by_synth_stage
@@ -187,6 +188,7 @@ def synth(
     if run.spec.rig is not None:
         following = command("arms", out)
     done = report.before + report.finished
+    some = bool(report.good) or any(batch["selected"].any() for batch in run.batches())
     if report.before == report.tasks:
         made = [f"{counted(report.tasks, 'task')} done before, none open"]
     else:
@@ -204,10 +206,10 @@ def synth(
             *([no_scene_text(left_out)] if left_out else []),
             *([no_grasp_text(report.without_grasp)] if report.without_grasp else []),
         ],
-        following=following if done else "",
+        following=following if some else "",
         as_json=as_json,
         quiet=quiet,
     )
-    if report.tasks or not run.tasks:  # this machine's part of the plan may be empty
-        nothing = f"{out}: not one grasp was made; `{command('info', out)}` says why"
-        refuse_nothing(report.good, run.batches(), "selected", nothing)
+    # This machine's part of the plan may be empty.
+    if not some and (report.tasks or not run.tasks):
+        raise NothingSucceeded(f"{out}: not one grasp was made; `{command('info', out)}` says why")

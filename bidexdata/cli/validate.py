@@ -97,7 +97,7 @@ def validate(
     GPU (the extra gpu): its verdicts are close to those and not equal, so they are stored under a
     name of their own, paper-1-warp, and never mixed with them.
 
-    --json keys: run, protocol, seconds and, per test in `tests`: tasks, tasks_before,
+    --json keys: run, protocol, rig (of test a; empty without), seconds and, per test in `tests`: tasks, tasks_before,
     tasks_failed, n, success, by_status, seconds. n, success and by_status count this call only.
     With --replay: grasp_id, protocol, test, success, status, failed_stage, direction,
     stored_status, seconds_simulated, frames, video.
@@ -188,7 +188,9 @@ def _validate(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    from bidexdata.runs.chosen import DEFAULT_PROTOCOL
+    from bidexdata.cli.figures import named_test
+    from bidexdata.record.fields import WITH_ARMS
+    from bidexdata.runs.chosen import DEFAULT_PROTOCOL, rig_option
     from bidexdata.runs.validate import validate_run
     from bidexdata.runs.weights import weight_difference
 
@@ -205,11 +207,13 @@ def _validate(
     data: dict[str, Any] = {
         "run": str(run.path),
         "protocol": rules.name,
+        "rig": run.rig if set(reports) & set(WITH_ARMS) else "",
         "seconds": round(sum(r.seconds for r in reports.values()), 3),
         "tests": {},
     }
     lines = []
     for test, report in reports.items():
+        named = named_test(test, rules.name, data["rig"])
         data["tests"][test] = {
             "tasks": report.tasks,
             "tasks_before": report.before,
@@ -221,15 +225,16 @@ def _validate(
         }
         if report.before == report.tasks:
             tasks = counted(report.tasks, "task")
-            lines.append(f"test {test} of {rules.name}: {tasks} done before, none open")
+            lines.append(f"{named}: {tasks} done before, none open")
         else:
             lines.append(
-                f"test {test} of {rules.name}: {report.good} of {counted(report.rows, 'row')} passed "
+                f"{named}: {report.good} of {counted(report.rows, 'row')} passed "
                 f"({counts_text(report.by_status)}) in {report.seconds:.1f} s"
                 f"{earlier_text(report.before)}"
             )
         warn_of_failed(report, run.path)
-    following = command("info", run.path)
+    arms = rig_option(run)
+    following = command("info", run.path, *arms)
     good = sum(r.good for r in reports.values())
     # What is packed should have a success; the rows of a release have no library to be packed with.
     if not run.spec.of_release and (good or _passed_before(run, rules, reports)):
@@ -238,12 +243,15 @@ def _validate(
             *("pack", run.path, "--out", free_name("RELEASE")),
             *("--name", "NAME", "--version", "1.0.0"),
             *named,
+            *arms,
         )
     finish(data, lines, following=following, as_json=as_json, quiet=quiet)
     if reports and all(len(r.failures) == r.tasks for r in reports.values()):
         sentence = f"{run.path}: every task failed; {run.path / 'logs'} says why"
     else:
-        sentence = f"{run.path}: not one grasp passed; `{command('info', run.path)}` says why"
+        sentence = (
+            f"{run.path}: not one grasp passed; `{command('info', run.path, *arms)}` says why"
+        )
     refuse_nothing(
         good,
         (batch for test in reports for batch in run.batches(rules.name, test)),
@@ -267,9 +275,11 @@ def _replay(
     as_json: bool,
     quiet: bool,
 ) -> None:
+    from bidexdata.cli.figures import named_test
     from bidexdata.kinds import expect_kind
     from bidexdata.pictures.captions import failure_place
     from bidexdata.record.fields import WITH_ARMS
+    from bidexdata.record.status import sentence_at
     from bidexdata.runs.replay import replay_grasp
     from bidexdata.runs.run import Run
     from bidexdata.runs.validate import allowed_tests
@@ -282,7 +292,8 @@ def _replay(
     report = replay_grasp(run, grasp_id, rules, test, video, quiet=quiet)
     v = report.verdict
     failed = failure_place(v.failed_stage, v.direction, v.time)
-    lines = [f"grasp {report.grasp_id}, test {test} of {rules.name}: {v.status.sentence}{failed}"]
+    said = sentence_at(v.status, v.failed_stage)
+    lines = [f"grasp {report.grasp_id}, {named_test(test, rules.name, run.rig)}: {said}{failed}"]
     if report.stored is not None:
         lines.append(f"the run says: {report.stored}")
     if report.video is not None:

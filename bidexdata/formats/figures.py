@@ -46,6 +46,7 @@ class Tally:
         self._rows: Counter[str] = Counter()
         self._attempts = AttemptTally()
         self._verdicts: dict[str, Counter[str]] = {t: Counter() for t in tests}
+        self._chosen_verdicts: dict[str, Counter[str]] = {t: Counter() for t in tests}
         self._trials = TrialTally()
         self._groups = {t: GroupTally() for t in tests}
         # test -> object -> scene -> whether a selected row passed
@@ -90,6 +91,7 @@ class Tally:
         self._attempts.add(batch, selected)
         for test in run_tests:
             self._verdicts[test].update(_labels(verdicts[test]["verdict_status"]))
+            self._chosen_verdicts[test].update(_labels(verdicts[test]["verdict_status"][selected]))
             chosen = batch["scene_id"][selected]
             winners = set(chosen[passed[test][selected]].tolist())
             for scene in np.unique(chosen).tolist():
@@ -158,6 +160,10 @@ class Tally:
                 },
             }
         return out
+
+    def selected_verdicts(self, test: str) -> dict[str, int]:
+        """Selected rows per verdict of a test; `by_verdict` counts all stored rows."""
+        return dict(sorted(self._chosen_verdicts[test].items()))
 
     def without_grasp(self) -> list[str]:
         """Scenes that no grasp was kept of, sorted."""

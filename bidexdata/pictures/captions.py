@@ -10,7 +10,7 @@ from bidexdata.objects.sources.item import UNKNOWN
 from bidexdata.pictures.sheet import Caption
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.fields import DIRECTIONS
-from bidexdata.record.status import TestStage
+from bidexdata.record.status import TestStage, sentence_at
 from bidexdata.wording import counted
 
 
@@ -49,23 +49,27 @@ def verdict_words(batch: GraspBatch, row: int, *, test: str = "f") -> tuple[str,
         return f"not validated by test {test}", None
     direction = int(batch["direction"][row]) if "direction" in batch else -1
     status = Status.OK if bool(batch["success"][row]) else Status(number)
-    return outcome_words(test, status, direction), status is Status.OK
+    stage = int(batch["failed_stage"][row]) if "failed_stage" in batch else TestStage.NONE
+    return outcome_words(test, status, direction, stage), status is Status.OK
 
 
-def outcome_words(test: str, status: Status, direction: int = -1) -> str:
+def outcome_words(
+    test: str, status: Status, direction: int = -1, failed_stage: int = TestStage.NONE
+) -> str:
     """Say how a test ended.
 
     Args:
         test: Its name.
         status: The verdict.
         direction: First failing load, a place in `DIRECTIONS`; any other number means none.
+        failed_stage: A `TestStage`.
     """
     if status is Status.OK:
         return f"passes test {test}"
     # What had gone wrong before any load fails under each: the first one says nothing.
     says = 0 <= direction < len(DIRECTIONS) and status not in (Status.NO_CONTACT, Status.THROWN)
     load = f" (load {DIRECTIONS[direction]})" if says else ""
-    return f"fails test {test}{load}: {status.sentence}"
+    return f"fails test {test}{load}: {sentence_at(status, failed_stage)}"
 
 
 def failure_place(failed_stage: int, direction: int, time: float) -> str:

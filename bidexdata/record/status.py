@@ -123,6 +123,9 @@ _SENTENCES = {
 }
 
 
+_BEFORE_CLOSING = "the object was beyond the limits before the hands had closed"
+"""`THROWN` in the approach of arms, whose hands are still open."""
+
 SYNTH_STAGES = {
     "regions": (Status.NO_REGION_PAIR,),
     "placement": (Status.NO_PLACEMENT,),
@@ -176,3 +179,18 @@ class TestStage(IntEnum):
     def label(self) -> str:
         """The lower-case name used in reports."""
         return self.name.lower()
+
+
+def sentence_at(status: Status, failed_stage: int) -> str:
+    """What happened, of a test that failed in a known part of it.
+
+    Args:
+        status: The verdict.
+        failed_stage: A `TestStage`.
+
+    >>> sentence_at(Status.THROWN, TestStage.APPROACH)
+    'the object was beyond the limits before the hands had closed'
+    """
+    if status is Status.THROWN and failed_stage == TestStage.APPROACH:
+        return _BEFORE_CLOSING
+    return status.sentence

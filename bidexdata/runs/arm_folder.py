@@ -128,6 +128,15 @@ def rig_name(rig: str | Path) -> str:
     return rig_spec(rig).name
 
 
+def arms_hint(run: Path, rig: str | Path) -> str:
+    """How to get a run the solutions of a rig; empty where there is no such rig."""
+    from bidexdata.arms.registry import rig_names
+
+    if not str(rig).endswith(_SPEC_ENDINGS) and str(rig) not in rig_names():
+        return "" if rigs_in(run) else f"`bidexdata arms {run}` makes arm solutions"
+    return f"`bidexdata arms {run} --rig {rig}` makes arm solutions"
+
+
 def folder_name(rig: str) -> str:
     """The rig's name, which becomes that of folders.
 
@@ -189,7 +198,11 @@ def store_record(run: Path, record: ArmsRecord) -> None:
     differing = differing_keys(known.identity(), to_plain(record.identity()))
     if differing:
         said = [text for text in differing if not text.startswith("robot")]
-        raise ConfigConflict(path.parent, said or ["robot: files of the arms or the hands"])
+        raise ConfigConflict(
+            path.parent,
+            said or ["robot: files of the arms or the hands"],
+            _advice(run, record.name),
+        )
 
 
 def store_spheres(run: Path, rig: str, robot: Robot) -> None:
@@ -241,4 +254,14 @@ def check_robot(run: Path, record: ArmsRecord, robot: Robot) -> None:
         change = f"{record.digest[:12]!r} -> {robot.digest[:12]!r}"
         spec: Sequence[str] = differing_keys(record.spec, to_plain(robot.rig.spec))
         keys = [f"spec.{text}" for text in spec] or [f"robot: {change}"]
-        raise ConfigConflict(arms_folder(run, record.name), keys)
+        raise ConfigConflict(arms_folder(run, record.name), keys, _advice(run, record.name))
+
+
+def _advice(run: Path, rig: str) -> str:
+    """What to do where solutions of a rig were made with other arms or settings than now."""
+    folders = [arms_folder(run, rig), *sorted(run.glob(f"validate/*/?-{rig}"))]
+    named = ", ".join(map(str, folders))
+    return (
+        "Use the same rig and settings as before, or give `--rig` a YAML file with another `name` to have "
+        f"both side by side, or remove {named} to solve anew"
+    )

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from bidexdata.runs.browse import Browsable
     from bidexdata.runs.choose import Shown
 
+STORED = "the stored motion, not the simulation"
+"""What a film of a motion shows; whether the object comes along is for a replay of the test to show."""
 REST_SECONDS = 1.0
 """How long a film of a motion stands still at its end [s]."""
 
@@ -141,7 +143,7 @@ class ArmPictures:
         )
         ends = [min(time, motion.seconds) for time in times]
         return (
-            Drawn(pixels, f"{time:.2f} s  {motion.phase_at(time)}")
+            Drawn(pixels, f"{time:.2f} s  {motion.phase_at(time)}  ({STORED})")
             for pixels, time in zip(drawn, ends, strict=True)
         )
 

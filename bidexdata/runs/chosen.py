@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from bidexdata.errors import NotUsable, UnknownName
 from bidexdata.record.fields import TESTS
+
+if TYPE_CHECKING:
+    from bidexdata.runs.run import Run
 
 DEFAULT_PROTOCOL = "paper-1"
 
@@ -49,6 +53,23 @@ def tests_of_protocol(protocol: str, tests: Iterable[tuple[str, str]]) -> tuple[
     """The tests that a protocol has verdicts of, in the order of `TESTS`."""
     found = set(tests)
     return tuple(test for test in TESTS if (protocol, test) in found)
+
+
+def rig_option(run: Run) -> tuple[str, ...]:
+    """`--rig NAME` where the next command must say it to mean the run's rig; else nothing."""
+    from bidexdata.runs.arm_folder import chosen_rig
+
+    try:
+        unsaid = chosen_rig(run.path, run.spec.rig.name if run.spec.rig else "")
+    except NotUsable:  # several, and none of them is the one
+        unsaid = ""
+    asked = run.asked_rig or unsaid
+    return () if asked == unsaid else ("--rig", asked)
+
+
+def other_rigs(run: Run) -> tuple[str, ...]:
+    """Rigs that a run has arm solutions of, besides the one that is meant."""
+    return tuple(name for name in run.arm_rigs() if name != run.rig)
 
 
 def refuse_other_rig(path: str | Path, own: str, asked: str | Path | None) -> None:

@@ -17,7 +17,7 @@ from bidexdata.devices import check_device
 from bidexdata.errors import ConfigConflict, Contradiction, NotUsable
 from bidexdata.record import GraspBatch, Status
 from bidexdata.record.fields import DIRECTIONS
-from bidexdata.record.status import TestStage
+from bidexdata.record.status import TestStage, sentence_at
 from bidexdata.runs.explain_words import StageWords, stage_words
 from bidexdata.runs.first_digits import id_digits, require_one
 from bidexdata.runs.made_with import made_with
@@ -206,7 +206,8 @@ def _verdicts(run: Run, task: Task, grasp_id: str) -> tuple[StoredVerdict, ...]:
         elif status is Status.NOT_RUN:
             text = f"has no verdict of test {test} of {protocol}: it was not tested"
         else:
-            text = f"fails test {test} of {protocol}{place}: {status.label}: {status.sentence}"
+            said = sentence_at(status, stage)
+            text = f"fails test {test} of {protocol}{place}: {status.label}: {said}"
         load = DIRECTIONS[direction] if 0 <= direction < len(DIRECTIONS) else ""
         found.append(StoredVerdict(protocol, test, status.label, stage.label, load, text))
     return tuple(found)

@@ -125,6 +125,8 @@ def describe_run(run: Run, by: str | None = None, protocol: str | None = None) -
         "objects": len(run.object_ids),
         "tasks": len(run.tasks),
         "rig": run.rig,
+        "rigs": list(run.arm_rigs()),
+        "arms": arms_of(run, finished),
         "made_for": spec.rig.name if spec.rig else "",
         "unfinished": _unfinished(run, finished),
         "done": stages,
@@ -133,6 +135,16 @@ def describe_run(run: Run, by: str | None = None, protocol: str | None = None) -
         "protocols": {p: found for p, found in figures.items() if p},
         **({"by": by, "groups": groups} if by else {}),
     }
+
+
+def arms_of(run: Run, finished: Finished) -> dict[str, Any]:
+    """What the arms that are meant came to, per kind of rows; nothing where none are solved."""
+    from bidexdata.runs.arm_counts import ROWS, ArmCounts
+
+    if not finished.armed:
+        return {}
+    counts = ArmCounts.of_run(run, finished.armed & finished.rows)
+    return {kind: counts.figures(kind) for kind in ROWS}
 
 
 def _unfinished(run: Run, finished: Finished) -> list[str]:
@@ -205,7 +217,10 @@ def run_figures(
 ) -> dict[str, Any]:
     """What a run's rows come to; `tally` and `untested` are from `run_tally`."""
     tested_rows, _ = count_tested(run, finished, protocol)
-    return {**tally.figures(), "untested_objects": untested, "tested_rows": tested_rows}
+    figures = tally.figures()
+    for test, found in figures["tests"].items():
+        found["by_verdict_selected"] = tally.selected_verdicts(test)
+    return {**figures, "untested_objects": untested, "tested_rows": tested_rows}
 
 
 def run_tally(run: Run, finished: Finished, protocol: str) -> tuple[Tally, int]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from bidexdata.errors import NotUsable
-from bidexdata.runs.chosen import DEFAULT_PROTOCOL, chosen_protocol
+from bidexdata.runs.chosen import DEFAULT_PROTOCOL, chosen_protocol, other_rigs
 from bidexdata.runs.pack_inputs import (
     check_hands,
     for_rig,
@@ -73,6 +73,10 @@ class PackReport:
     """Objects left out for their licence."""
     half_tested: tuple[TestedRows, ...] = ()
     """Runs with rows that the protocol has not tested."""
+    rig: str = ""
+    """Whose arm solutions are in the release; empty where it has none."""
+    other_rigs: tuple[str, ...] = ()
+    """Rigs that the runs have solutions of, too, which are not in the release."""
 
 
 def pack_runs(
@@ -183,6 +187,8 @@ def pack_runs(
         sum(1 for n in untested.values() if n),
         tuple(left_out),
         tuple(c for c in counts if c.tested < c.rows),
+        "" if arms is None else arms.name,
+        tuple(sorted({name for one in runs for name in other_rigs(one.run)})),
     )
 
 

@@ -18,6 +18,7 @@ from bidexdata.errors import BadConfig, BadValue, NotUsable
 from bidexdata.record import Status
 from bidexdata.record.status import ARM_STATUSES
 from bidexdata.runs.browse import Browsable, open_browsable, rows_by_test
+from bidexdata.runs.browse_run import RunSource
 from bidexdata.runs.choose import (
     Only,
     Shown,
@@ -26,6 +27,7 @@ from bidexdata.runs.choose import (
     shuffled,
     statuses_called,
 )
+from bidexdata.runs.chosen import rig_option
 from bidexdata.runs.progress import Progress
 
 if TYPE_CHECKING:
@@ -56,6 +58,10 @@ class RenderReport:
     """Ids of the grasps or objects, in the order of the sheet."""
     drawn_by: str
     seconds: float
+    motions: bool = False
+    """Whether it is a film of stored motions of arms."""
+    rig: tuple[str, ...] = ()
+    """`--rig NAME` where a later command must say it to mean the same arms."""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for `--json`."""
@@ -162,7 +168,9 @@ def render(
         save_animation(list(sheets), out)
     else:
         save_picture(next(sheets), out)
-    return RenderReport(out, source.kind, shown, footer, perf_counter() - started)
+    seconds = perf_counter() - started
+    rig_said = rig_option(source.run) if isinstance(source, RunSource) else ()
+    return RenderReport(out, source.kind, shown, footer, seconds, arms and video, rig_said)
 
 
 def grasp_tiles(source: Browsable, chosen: Sequence[Shown], views: int = 2) -> list[Tile]:

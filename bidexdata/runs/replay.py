@@ -246,7 +246,7 @@ def _draw(
     camera = simulation_camera(ends, solid, size, scene.hands, table=table, beside=beside)
     head = f"{batch['object_id'][0]}  {batch['size_mm'][0]} mm  {batch['grasp_id'][0]}"
     passed = verdict.status is Status.OK
-    outcome = outcome_words(test, verdict.status, verdict.direction)
+    outcome = outcome_words(test, verdict.status, verdict.direction, verdict.failed_stage)
     # All pictures have as many lines as the last, which alone tells the outcome.
     told = wrapped(outcome, WIDTH - GAP)
 

@@ -25,6 +25,7 @@ from bidexdata.record.settings import settings_of_test
 from bidexdata.runs.arm_folder import (
     RIG_FILE,
     arms_folder,
+    arms_hint,
     chosen_rig,
     read_record,
     rig_name,
@@ -93,7 +94,7 @@ class Run:
         """
         name, known = rig_name(rig), self.arm_rigs()
         if name not in known:
-            hint = f"`bidexdata arms {self.path} --rig {rig}` makes arm solutions"
+            hint = arms_hint(self.path, rig)
             raise UnknownName(f"rig with arm solutions in {self.path}", name, known, hint)
         return dataclasses.replace(self, asked_rig=name)
 

@@ -18,6 +18,8 @@ from bidexdata.formats.new_folder import new_folder
 from bidexdata.record import FIELDS, Status
 from bidexdata.record.batch import fill_value
 from bidexdata.record.fields import PHASES
+from bidexdata.runs.browse_run import RunSource
+from bidexdata.runs.chosen import rig_option
 from bidexdata.runs.progress import Progress
 
 if TYPE_CHECKING:
@@ -120,21 +122,20 @@ def export_trajectories(
 
 
 def _check(source: Browsable, only: str | None) -> None:
-    path = source.path
+    path, run = source.path, source.run if isinstance(source, RunSource) else None
     if not source.rig:
-        made = (
-            f"`bidexdata arms {path}` makes them"
-            if source.kind == "run"
-            else "pack runs that `bidexdata arms` solved"
+        made = f"`bidexdata arms {path}` makes them"
+        raise NotUsable(
+            f"{path} has no arm solutions; "
+            f"{'pack runs that `bidexdata arms` solved' if run is None else made}"
         )
-        raise NotUsable(f"{path} has no arm solutions; {made}")
     if only is not None and "a" not in source.tests:
-        made = (
-            f"`bidexdata validate {path} --tests a` gives them"
-            if source.kind == "run"
-            else "pack runs that have some"
+        arms = "" if run is None else " ".join(["", *rig_option(run)])
+        made = f"`bidexdata validate {path} --tests a{arms}` gives them"
+        raise NotUsable(
+            f"{path} has no verdicts of test a with {source.rig} to choose by; "
+            f"{'pack runs that have some' if run is None else made}"
         )
-        raise NotUsable(f"{path} has no verdicts of test a to choose by; {made}")
 
 
 def _scenes_of(source: Browsable, split: str | None) -> frozenset[str] | None:
