@@ -18,7 +18,7 @@ from bidexdata.pictures.camera import framed
 from bidexdata.pictures.drawing import HAND_COLOURS, OBJECT_COLOUR
 from bidexdata.pictures.picture import Pixels
 from bidexdata.pictures.raycast import RayScene
-from bidexdata.pictures.scene import Part, mesh_part, moved, sphere
+from bidexdata.pictures.scene import Part, disc, mesh_part, moved, sphere
 from bidexdata.pictures.views import subject_points
 
 DIRECTIONS: dict[str, tuple[float, float, float]] = {
@@ -29,6 +29,10 @@ DIRECTIONS: dict[str, tuple[float, float, float]] = {
 """To the camera."""
 MAP_HEIGHTS = (0.1, 0.3, 0.5)
 """Heights of the map of reach over the table [m]."""
+_GRID_X, _GRID_Y = np.linspace(-0.5, 0.5, 11), np.linspace(-0.6, 0.6, 13)
+"""Where the map asks [m]."""
+_AXIS_OFF, _THIN = 0.1, 0.006
+"""Of the map's axes: distance from its outermost balls, and half their thickness [m]."""
 
 
 def shape_part(pairs: GenericPairs, row: int) -> Part:
@@ -77,6 +81,7 @@ def draw_reach(
     at: float,
     config: IkConfig,
     *,
+    footprint: float = 0.0,
     width: int = 420,
     height: int = 320,
     device: str = "cpu",
@@ -87,11 +92,14 @@ def draw_reach(
         robot: The robot.
         at: The height [m].
         config: Of the inverse kinematics.
+        footprint: Radius of a disc on the table that shows how far objects come [m]; 0: none.
         width: Pixels.
         height: Pixels.
         device: A Warp device.
     """
-    parts = [*reach_parts(robot, at, config, device), *room_parts(robot)]
+    parts = [*reach_parts(robot, at, config, device), *axis_parts(at), *room_parts(robot)]
+    if footprint > 0:
+        parts.append(disc((0.0, 0.0, 0.002), footprint, OBJECT_COLOUR))
     return _draw(parts, "top", width, height, device)
 
 
@@ -100,8 +108,7 @@ def reach_parts(robot: Robot, height: float, config: IkConfig, device: str = "cp
 
     Blue: the left one; green: the right one; dark: both; red: neither.
     """
-    grid = np.arange(-0.5, 0.51, 0.1)
-    points = np.array([[x, y, height] for x in grid for y in np.arange(-0.6, 0.61, 0.1)])
+    points = np.array([[x, y, height] for x in _GRID_X for y in _GRID_Y])
     reached = [_reached(robot, h, points, config, device) for h in range(2)]
     parts = []
     for k, point in enumerate(points):
@@ -113,6 +120,33 @@ def reach_parts(robot: Robot, height: float, config: IkConfig, device: str = "cp
             colour = HAND_COLOURS["left" if left else "right"]
         parts.append(sphere(point, 0.035, colour, "reach"))
     return parts
+
+
+def axis_parts(height: float) -> list[Part]:
+    """The x axis below the grid of `reach_parts` and the y axis left of it, with ticks at its places."""
+    low_x, low_y = _GRID_X[0] - _AXIS_OFF, _GRID_Y[0] - _AXIS_OFF
+    bars = [
+        ([_GRID_X.mean(), low_y], [np.ptp(_GRID_X) / 2, _THIN]),
+        ([low_x, _GRID_Y.mean()], [_THIN, np.ptp(_GRID_Y) / 2]),
+    ]
+    for along, places in enumerate((_GRID_X, _GRID_Y)):
+        for place in places:
+            length = _THIN * (10 if abs(place) < 1e-9 else 4)
+            middle = [place, low_y] if along == 0 else [low_x, place]
+            bars.append((middle, [_THIN, length] if along == 0 else [length, _THIN]))
+    parts = []
+    for middle, half in bars:
+        vertices, faces = tessellate("box", np.array([*half, _THIN]))
+        placed = vertices + np.array([*middle, height])
+        parts.append(mesh_part(placed, faces, (0.1, 0.1, 0.1), "axis", smooth=False))
+    return parts
+
+
+def footprint_radius(pairs: GenericPairs) -> float:
+    """How far the objects of generic pairs come from the middle of the table [m]."""
+    rows = np.flatnonzero(pairs.size == pairs.size.max())
+    shapes = (shape_part(pairs, int(row)).vertices[:, :2] for row in rows)
+    return max(float(np.linalg.norm(xy, axis=1).max()) for xy in shapes)
 
 
 def _draw(parts: list[Part], view: str, width: int, height: int, device: str) -> Pixels:

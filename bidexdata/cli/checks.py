@@ -61,7 +61,10 @@ def finish_check(
         quiet=quiet,
     )
     if not passed:
+        failed = ", ".join(report.failed)
+        if quiet or as_json:  # nobody has read the table of checks
+            failed = "; ".join(f"{f.check}: {f.says}" for f in report.findings if f.passed is False)
         raise NotUsable(
             f"{what} {report.name} does not pass {counted(len(report.failed), 'check')}: "
-            f"{', '.join(report.failed)}; docs/own_{what}.md says what each asks for"
+            f"{failed}; docs/own_{what}.md says what each asks for"
         )

@@ -102,6 +102,10 @@ def render(
         lines.append(
             f"it shows {STORED}: in the lift the object is drawn as if it rose with the hands"
         )
+        if only == "failure" and not status:
+            lines.append(
+                "failures without a motion are left out; --status LABEL draws what stopped them"
+            )
         if report.kind == "run":
             again = ("--replay", report.shown[0], "--tests", "a", "--video", "FILE.mp4")
             following = command("validate", path, *again, *report.rig)

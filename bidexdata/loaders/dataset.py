@@ -86,8 +86,8 @@ class BiDexDataset:
             where: Which rows; see `loaders.filters.matching_rows`.
             fields: Columns of an item (of grasps, contacts and, where the release has a rig, arms);
                 `DEFAULT_FIELDS` when omitted.
-            frame: Frame of hand poses and clouds: `object` or `world`. Contact points are always
-                in the object frame.
+            frame: Frame of hand poses and clouds: `object` or `world`, with angles of arms `world`.
+                Contact points are always in the object frame.
             cloud: `cloud_solid`, `cloud_mesh` or None.
             points: Points per cloud, the first of the stored farthest-point order.
             configuration: `selected` or `audit`.

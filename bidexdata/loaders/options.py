@@ -14,6 +14,8 @@ from bidexdata.loaders.normals import OF_CLOUD
 DEFAULT_FIELDS = ("hand_pos", "hand_quat_wxyz", "joints", "size_mm", "size")
 POSE_OF_OBJECT = ("object_pos", "object_quat_wxyz")
 HAND_POSES = ("hand_pos", "hand_quat_wxyz")
+ARM_ANGLES = ("arm_joints", "arm_path")
+"""Columns that place hands in the world."""
 AUGMENTATIONS = ("yaw", "mirror")
 _WORDS: Mapping[str, tuple[str, ...]] = {
     "frame": ("object", "world"),
@@ -54,6 +56,14 @@ class ItemOptions:
         if moved and self.augment:
             raise BadConfig(
                 f"augment moves hands and object, and arms cannot follow: leave out augment or {moved[0]}"
+            )
+        angles = [n for n in self.fields if n in ARM_ANGLES]
+        beside = [n for n in self.fields if n in HAND_POSES]
+        beside += [] if self.cloud is None else [self.cloud]
+        if angles and beside and self.frame != "world":
+            raise BadConfig(
+                f"{angles[0]} moves arms that stand in the world, and {beside[0]} is asked for in the frame "
+                f'of the object: add frame="world", or leave out {angles[0]}'
             )
         if self.points < 1:
             raise BadConfig(f"points={self.points}; a cloud has at least one")

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 CHECKS = ("model", "mounts", "payload", "rest", "engines", "reach")
 """All checks in their order."""
+GAP = 0.02
+"""Distance of a hand from the arm from which on it hangs in the air [m]; adapter plates are thinner."""
 ENGINES = 1e-5
 """Largest difference between the engines [m]: float32 at a metre resolves 1e-7."""
 LEAST_REACH = 0.5
@@ -111,8 +113,12 @@ def check_rig(
     payload, reach, drawn = (), None, None
     if robot is not None:
         say("overlaps at rest, and kinematics in three engines")
-        findings.append(_rest(robot))
-        findings.append(_engines(robot))
+        from bidexdata.arms.robot import robot_spec
+
+        model = robot_spec(robot).compile()
+        findings += _hanging(robot, model)
+        findings.append(_rest(robot, model))
+        findings.append(_engines(robot, model))
         from bidexdata.arms.inverse_kinematics import IkConfig
         from bidexdata.arms.payload import check_payload
         from bidexdata.arms.reach_report import reach_report
@@ -189,14 +195,27 @@ def _payload(robot: Robot, found: tuple[CarryFinding, ...]) -> Finding:
     return worst("payload", faults, "; ".join(said))
 
 
-def _rest(robot: Robot) -> Finding:
+def _hanging(robot: Robot, model: mujoco.MjModel) -> list[Finding]:
+    """A warning where hands hang in the air: it needs an adapter, or another mount."""
+    from bidexdata.arms.mount_gap import mount_gaps
+
+    gaps = dict(zip((arm.side for arm in robot.arms), mount_gaps(robot, model), strict=True))
+    wide = [f"{side} {1e3 * gap:.0f} mm" for side, gap in gaps.items() if gap > GAP]
+    if not wide:
+        return []
+    says = (
+        f"warning: the hand is away from the arm's last link ({', '.join(wide)}): mind an adapter of that "
+        "length, or change the mount's `pos`"
+    )
+    return [Finding("mounts", True, says)]
+
+
+def _rest(robot: Robot, model: mujoco.MjModel) -> Finding:
     """Nothing overlaps at rest, and no two links always do."""
     import mujoco
 
     from bidexdata.arms.arm_spheres import ALWAYS
-    from bidexdata.arms.robot import robot_spec
 
-    model = robot_spec(robot).compile()
     data = mujoco.MjData(model)
     address = [_addresses(model, robot, h) for h in range(2)]
     for h, arm in enumerate(robot.arms):
@@ -256,16 +275,14 @@ def _overlaps(
     return found
 
 
-def _engines(robot: Robot) -> Finding:
+def _engines(robot: Robot, model: mujoco.MjModel) -> Finding:
     """MuJoCo, the reference and the kernels place the hands alike."""
     import mujoco
 
     from bidexdata.arms.chain import chain_forward
     from bidexdata.arms.inverse_kinematics import forward_on_device
-    from bidexdata.arms.robot import robot_spec
     from bidexdata.simulation.assembly import hand_prefix
 
-    model = robot_spec(robot).compile()
     data, largest, rng = mujoco.MjData(model), 0.0, np.random.default_rng(0)
     for h, (arm, hand) in enumerate(zip(robot.arms, robot.hands, strict=True)):
         chain = arm.chain
@@ -325,7 +342,13 @@ def _draw(robot: Robot, report: ReachReport, out: Path) -> None:
     """Write the sheet: the rig at rest, pairs that it reaches, and the map of reach."""
     from bidexdata.arms.inverse_kinematics import IkConfig
     from bidexdata.arms.reach_report import SIZES
-    from bidexdata.arms.views import MAP_HEIGHTS, draw_reach, draw_robot, shape_part
+    from bidexdata.arms.views import (
+        MAP_HEIGHTS,
+        draw_reach,
+        draw_robot,
+        footprint_radius,
+        shape_part,
+    )
     from bidexdata.pictures.picture import drawn_by
     from bidexdata.pictures.sheet import Caption, Tile, contact_sheet, save_picture
 
@@ -342,9 +365,13 @@ def _draw(robot: Robot, report: ReachReport, out: Path) -> None:
             row = int(rows[len(rows) // 2])
             pixels = draw_robot(robot, report.q[row], "front", more=[shape_part(report.pairs, row)])
             tiles.append(Tile(pixels, Caption(f"a generic pair at {size:g} m")))
-    words = ("blue: left palm, green: right palm, dark: both, red: none",)
+    words = (
+        "blue: left palm, green: right, dark: both, red: none",
+        f"x right, y up, ticks of 0.1 m; yellow: the largest {SIZES[-1]:g} m object",
+    )
+    footprint = footprint_radius(report.pairs)
     for height in MAP_HEIGHTS:
-        pixels = draw_reach(robot, height, IkConfig())
-        tiles.append(Tile(pixels, Caption(f"reach {height:g} m over the table", words)))
+        pixels = draw_reach(robot, height, IkConfig(), footprint=footprint)
+        tiles.append(Tile(pixels, Caption(f"reach {height:g} m over the table, collisions left out", words)))
     sheet = contact_sheet(tiles, title=f"rig {robot.rig.spec.name}", footer=drawn_by(), columns=3)
     save_picture(sheet, out)

@@ -38,15 +38,19 @@ def chosen_of_each(
     *,
     moving: bool,
 ) -> list[Shown]:
-    """Choose grasps; as many of each status, at least one."""
+    """Choose grasps; as many of each status that some grasp came to, at least one."""
     if not statuses:
         return choose_grasps(source, count, only=only, seed=seed, moving=moving)
-    each = max(1, count // len(statuses))
-    return [
-        shown
-        for status in statuses
-        for shown in choose_grasps(source, each, only=only, seed=seed, status=status)
-    ]
+
+    def of_each(some: Sequence[Status]) -> dict[Status, list[Shown]]:
+        each = max(1, count // len(some))
+        return {s: choose_grasps(source, each, only=only, seed=seed, status=s) for s in some}
+
+    found = of_each(statuses)
+    some = [s for s in found if found[s]]
+    if some and len(some) < len(found):  # the others take the places of those without one
+        found = of_each(some)
+    return [shown for chosen in found.values() for shown in chosen]
 
 
 def choose_grasps(

@@ -296,5 +296,7 @@ def sheet_title(
     test = f" ({named} of {source.protocol})" if tests else " (not validated)"
     if statuses:
         what = f"{what} with status {', '.join(s.label for s in statuses)}"
+    if statuses and all(s in ARM_STATUSES for s in statuses) and source.rig:
+        test = f" (arms of {source.rig}; red: what stopped them)"
     colours = ", ".join(f"{side} hand {HAND_COLOUR_NAMES[side]}" for side in sides)
     return f"{source.path.name}: {what}{test}; {colours}"

@@ -133,7 +133,7 @@ def _check(source: Browsable, only: str | None) -> None:
         arms = "" if run is None else " ".join(["", *rig_option(run)])
         made = f"`bidexdata validate {path} --tests a{arms}` gives them"
         raise NotUsable(
-            f"{path} has no verdicts of test a with {source.rig} to choose by; "
+            f"{path} has no verdicts of test a with arms of {source.rig} to choose by; "
             f"{'pack runs that have some' if run is None else made}"
         )
 

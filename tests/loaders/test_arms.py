@@ -117,3 +117,15 @@ def test_an_unknown_field_lists_those_of_arms_and_augmentation_leaves_arms_out(i
             loader(in_parquet, fields=("arm_path",), augment=("yaw",))
     moved = BiDexDataset(in_parquet, where="arm_status == 0", augment=("yaw",))
     assert len(moved) > 0
+
+
+@pytest.mark.parametrize("loader", [BiDexDataset, BiDexCases, BiDexStream])
+def test_angles_of_arms_come_with_nothing_of_another_frame(in_parquet, loader):
+    mixed = ({"fields": ("arm_path",)}, {"fields": ("hand_pos", "arm_joints"), "cloud": None})
+    for how in mixed:
+        with pytest.raises(BadConfig, match='add frame="world"'):
+            loader(in_parquet, **how)
+        assert loader(in_parquet, frame="world", **how) is not None
+    # Without either there is nothing to mix, and numbers of a motion have no frame.
+    assert loader(in_parquet, fields=("arm_path", "joints"), cloud=None) is not None
+    assert loader(in_parquet, fields=("hand_pos", "arm_time", "arm_status")) is not None

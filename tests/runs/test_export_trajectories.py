@@ -113,7 +113,7 @@ def test_what_has_no_arms_says_so_in_one_sentence(floating, armed, tmp_path):
     with pytest.raises(UnknownName, match=r"'ur10e_post'.*known: made"):
         export_trajectories(armed, tmp_path / "out", "csv", rig="ur10e_post", quiet=True)
     untested = made_release(tmp_path / "untested", arms=True, tested=False, tests=[])
-    with pytest.raises(NotUsable, match="no verdicts of test a to choose by"):
+    with pytest.raises(NotUsable, match="no verdicts of test a with arms of made to choose by"):
         export_trajectories(untested, tmp_path / "out", "csv", only="success", quiet=True)
 
 
