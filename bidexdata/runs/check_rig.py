@@ -372,6 +372,8 @@ def _draw(robot: Robot, report: ReachReport, out: Path) -> None:
     footprint = footprint_radius(report.pairs)
     for height in MAP_HEIGHTS:
         pixels = draw_reach(robot, height, IkConfig(), footprint=footprint)
-        tiles.append(Tile(pixels, Caption(f"reach {height:g} m over the table, collisions left out", words)))
+        tiles.append(
+            Tile(pixels, Caption(f"reach {height:g} m over the table, collisions left out", words))
+        )
     sheet = contact_sheet(tiles, title=f"rig {robot.rig.spec.name}", footer=drawn_by(), columns=3)
     save_picture(sheet, out)

@@ -6,7 +6,7 @@ import csv
 import json
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -18,9 +18,11 @@ from bidexdata.formats.new_folder import new_folder
 from bidexdata.record import FIELDS, Status
 from bidexdata.record.batch import fill_value
 from bidexdata.record.fields import PHASES
+from bidexdata.runs.arm_folder import RIG_FILE
 from bidexdata.runs.browse_run import RunSource
 from bidexdata.runs.chosen import rig_option
 from bidexdata.runs.progress import Progress
+from bidexdata.runs.trajectory_rig import rig_file, rig_lines
 
 if TYPE_CHECKING:
     from bidexdata.record import GraspBatch
@@ -111,7 +113,10 @@ def export_trajectories(
                 break
         if first is None:
             raise NotUsable(_none_words(source, skipped))
-        (folder / README).write_text(_readme(source, first, form), encoding="utf-8")
+        rig_text = rig_file(source).read_text(encoding="utf-8")
+        (folder / RIG_FILE).write_text(rig_text, encoding="utf-8")
+        about = rig_lines(json.loads(rig_text)["spec"], first.header.hands)
+        (folder / README).write_text(_readme(source, first, form, about), encoding="utf-8")
     return TrajectoryReport(
         out=out,
         rig=source.rig,
@@ -241,7 +246,7 @@ does. Wrist joints of a hand are among those of its arm.
 }
 
 
-def _readme(source: Browsable, batch: GraspBatch, form: Form) -> str:
+def _readme(source: Browsable, batch: GraspBatch, form: Form, about: Iterable[str]) -> str:
     arms = batch.header.arms
     knots = ", ".join(f"{phase} {n}" for phase, n in zip(PHASES, arms[0].knots, strict=True))
     lines = [
@@ -252,9 +257,11 @@ def _readme(source: Browsable, batch: GraspBatch, form: Form) -> str:
         _FILES[form],
         f"A motion begins at home. Knots of its phases: {knots}. Between knots joints move in straight "
         "lines.",
-        "Fingers stay at the pre-grasp until `close`, which ends at the grasp; `squeeze` goes on to the",
-        "squeeze, whose angles are what is commanded: the object stops the fingers before. The last row is the",
-        "end of the lift.",
+        "Fingers have the pre-grasp of this grasp from home until `close`, which ends at the grasp; `squeeze` goes",
+        "on to the squeeze, whose angles are what is commanded: the object stops the fingers before. The last row",
+        "or point is the end of the lift.",
+        "",
+        *about,
         "",
         f"`{INDEX}` has the object of each motion, its size [m] and its pose in `world` (z up, the table's",
         "surface is z = 0, x forward from the robot, y left): put the object there, or move the motion.",
