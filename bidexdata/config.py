@@ -271,13 +271,17 @@ def _tuple_of(kinds: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]
     return tuple(_convert(k, v, where) for k, v in zip(kinds, value, strict=True))
 
 
+_KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
+"""What a value must be, in words for a person."""
+
+
 def _scalar_of(hint: Any, value: Any, where: str) -> Any:
     if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
         return float(value)
     if hint is float and isinstance(value, str):
         return _float_of(value, where)
     if hint in (int, bool, str, float) and type(value) is not hint:
-        raise BadConfig(f"{where} must be {hint.__name__}, not {value!r}")
+        raise BadConfig(f"{where} must be {_KINDS[hint]}, not {value!r}")
     return value
 
 
@@ -286,4 +290,4 @@ def _float_of(text: str, where: str) -> float:
     try:
         return float(text)
     except ValueError as err:
-        raise BadConfig(f"{where} must be float, not {text!r}") from err
+        raise BadConfig(f"{where} must be {_KINDS[float]}, not {text!r}") from err

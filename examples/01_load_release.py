@@ -41,4 +41,6 @@ def main(release: str, batch_size: int = 64, points: int = 1024) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2 or sys.argv[1].startswith("-"):
+        sys.exit(__doc__)
     main(sys.argv[1])

@@ -92,4 +92,6 @@ def main(release: str, epochs: int = 60, batch_size: int = 8, points: int = 256)
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2 or sys.argv[1].startswith("-"):
+        sys.exit(__doc__)
     main(sys.argv[1])

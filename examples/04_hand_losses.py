@@ -65,4 +65,6 @@ def main(release: str, grasps: int = 8, steps: int = 60) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2 or sys.argv[1].startswith("-"):
+        sys.exit(__doc__)
     main(sys.argv[1])

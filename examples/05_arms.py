@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from bidexdata import BiDexDataset
+from bidexdata.errors import BidexError
 from bidexdata.formats.rig_files import hand_poses, read_rig_files
 from bidexdata.record.fields import KEY_FRAMES
 from bidexdata.runs.trajectories import export_trajectories
@@ -76,4 +77,9 @@ def main(release: str, rate: float = 100.0, exported: int = 2) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    if len(sys.argv) != 2 or sys.argv[1].startswith("-"):
+        sys.exit(__doc__)
+    try:
+        main(sys.argv[1])
+    except BidexError as err:
+        sys.exit(f"error: {err}")

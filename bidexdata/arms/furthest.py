@@ -40,6 +40,10 @@ COLLISIONS = {
 SHOWN = (*MISSES, *COLLISIONS, Status.JUMP)
 """Statuses that have a posture to show."""
 _HOME, _STANDOFF, _PREGRASP, _GRASP = range(4)
+_FRAMES = tuple(
+    {"standoff": "stand-off", "pregrasp": "pre-grasp"}.get(name, name) for name in KEY_FRAMES
+)
+"""Key frames in words for a person."""
 _BETWEEN = 5
 """Postures that are looked at from one key frame to the next [-]."""
 _ON_THE_WAY = 40
@@ -97,6 +101,11 @@ def furthest_posture(
     return _jump(robot, grasps, found, way, config)
 
 
+def _figure(value: float) -> str:
+    """Two digits below ten: misses begin at 1 mm, and none of them is to read as nothing."""
+    return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
+
+
 def _missed(
     robot: Robot, grasps: Grasps, found: Found, way: list[Ways], config: ArmConfig
 ) -> Furthest:
@@ -116,8 +125,8 @@ def _missed(
     )
     missing = tuple(h for h, near in nearest.items() if not near.ok[0])
     told = [
-        f"the {SIDES[h]} hand stays {1e3 * nearest[h].error_pos[0]:.0f} mm and "
-        f"{np.degrees(nearest[h].error_rot[0]):.0f}° short of the {KEY_FRAMES[frame]}"
+        f"the {SIDES[h]} hand stays {_figure(1e3 * nearest[h].error_pos[0])} mm and "
+        f"{_figure(np.degrees(nearest[h].error_rot[0]))}° short of the {_FRAMES[frame]}"
         for h in missing
     ]
     at = _waypoint(frame, config)
@@ -126,7 +135,7 @@ def _missed(
         np.array([way[h].poses.quat_wxyz[0, at] for h in range(2)]),
         _fingers(grasps, np.array([frame]))[0],
     )
-    words = "; ".join(told) or f"between the {KEY_FRAMES[frame]} and the key frame before"
+    words = "; ".join(told) or f"between the {_FRAMES[frame]} and the key frame before"
     return Furthest(_moment(grasps, arms, frame, config), words, wanted=(wanted, missing))
 
 
@@ -146,8 +155,8 @@ def _jump(
     other = arms.copy()
     other[h] = _known(robot, found, h, after, way[h], config)
     words = (
-        f"the {SIDES[h]} arm turns a joint by {turn:.2f} rad between {KEY_FRAMES[before]} "
-        f"and {KEY_FRAMES[after]}"
+        f"the {SIDES[h]} arm turns a joint by {turn:.2f} rad between {_FRAMES[before]} "
+        f"and {_FRAMES[after]}"
     )
     moment = _moment(grasps, arms, before, config)
     return Furthest(moment, words, after=moment._replace(arms=other))
@@ -302,8 +311,8 @@ def _moment(grasps: Grasps, arms: np.ndarray, frame: int, config: ArmConfig) -> 
 def _when(number: float) -> str:
     k = round(number)
     if abs(number - k) < 1e-6:
-        return f"at the {KEY_FRAMES[k]}"
+        return f"at the {_FRAMES[k]}"
     first = int(number)
     if first == _HOME:
         return "on the straight way from home"
-    return f"between {KEY_FRAMES[first]} and {KEY_FRAMES[first + 1]}"
+    return f"between {_FRAMES[first]} and {_FRAMES[first + 1]}"

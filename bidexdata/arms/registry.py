@@ -10,6 +10,7 @@ from pathlib import Path
 from bidexdata.arms.source import ArmMjcf, load_arm
 from bidexdata.arms.spec import RigSpec, read_rig
 from bidexdata.config import named_yaml
+from bidexdata.errors import BadConfig
 from bidexdata.hands.model import Side
 
 _RIGS = Path(__file__).parent / "rigs"
@@ -72,9 +73,13 @@ def rig_path(name: str) -> Path:
 @lru_cache(maxsize=8)
 def _load(path: Path, modified: int) -> Rig:
     spec = read_rig(path)
-    left = load_arm(spec.arm, spec, path.parent, "arm")
-    right = left
-    if spec.right_arm is not None:
-        right = load_arm(spec.right_arm, spec, path.parent, "right_arm")
+    try:
+        left = load_arm(spec.arm, spec, path.parent, "arm")
+        right = left
+        if spec.right_arm is not None:
+            right = load_arm(spec.right_arm, spec, path.parent, "right_arm")
+    except BadConfig as err:
+        err.args = (f"rig {path.name}: {err}",)
+        raise
     total = hashlib.sha256(f"{spec.content_hash()}{left.digest}{right.digest}".encode())
     return Rig(spec, left, right, total.hexdigest())

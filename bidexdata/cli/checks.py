@@ -15,8 +15,14 @@ if TYPE_CHECKING:
 _WORDS = {True: "ok", False: "FAILED", None: "-"}
 
 
-def picture_place(out: Path | None, spec: str, what: str) -> Path:
+def picture_place(out: Path | None, spec: str, what: str, mounted: str = "") -> Path:
     """Give the file that a check draws to, NAME_check.png here when none is named.
+
+    Args:
+        out: The file that is asked for.
+        spec: What is checked.
+        what: `hand` or `rig`.
+        mounted: Hands that a rig is asked to carry; they make another picture.
 
     Raises:
         BadConfig: Its ending says no format of pictures.
@@ -25,7 +31,8 @@ def picture_place(out: Path | None, spec: str, what: str) -> Path:
     from bidexdata.errors import PathNotFound
     from bidexdata.pictures.sheet import PICTURE_ENDINGS, require_ending
 
-    picture = out or Path(f"{Path(spec).stem}_check.png")
+    name = "_".join([Path(spec).stem, *(Path(hand).stem for hand in mounted.split(",") if hand)])
+    picture = out or Path(f"{name}_check.png")
     require_ending(picture, PICTURE_ENDINGS, f"a picture of a {what}")
     if not picture.resolve().parent.is_dir():
         raise PathNotFound(picture.parent, "a folder for the picture")

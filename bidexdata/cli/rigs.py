@@ -59,7 +59,11 @@ def _check(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Picture of the rig (.png .jpg .webp); NAME_check.png."),
+        typer.Option(
+            metavar="FILE",
+            help="Picture of the rig (.png .jpg .webp); NAME_check.png, "
+            "with --hand NAME_HAND_check.png.",
+        ),
     ] = None,
     as_json: options.Json = False,
     quiet: options.Quiet = False,
@@ -81,7 +85,7 @@ def _check(
 
     if object_mass is not None and not 0 <= object_mass < float("inf"):
         raise BadValue(f"--object-mass {object_mass}: must be zero or more")
-    picture = picture_place(out, spec, "rig")
+    picture = picture_place(out, spec, "rig", hand or "")
     say = (lambda _: None) if quiet else (lambda text: warn(f"-- {text}"))
     report = check_rig(spec, picture, hand=hand, object_mass=object_mass, say=say)
     finish_check(report, "rig", as_json=as_json, quiet=quiet)

@@ -75,7 +75,7 @@ def _values(root: Path, head: Mapping[str, Any]) -> dict[str, Any]:
         "generator_version": head["generator"]["version"],
         "success_text": success_text(head),
         "load_where": f', where="suc_{tests[0]}"' if tests else "",
-        "arm_axes": ", A arm joints, K key moments, W waypoints" if head.get("rigs") else "",
+        "arm_axes": ", A arm joints, K key frames, W knots" if head.get("rigs") else "",
         "arms": _arms(root, head),
         "objects": counted(figures["objects"], "object"),
         "scenes": counted(figures["scenes"], "scene"),

@@ -20,5 +20,10 @@ def worst(check: str, faults: list[str], fine: str) -> Finding:
     """Fail with the first fault and the number of the others, or pass with what was measured."""
     if not faults:
         return Finding(check, True, fine)
-    more = f" (and {len(faults) - 1} more like it)" if len(faults) > 1 else ""
+    others = len(faults) - 1
+    more = (
+        f" (and {others} more {'fault' if others == 1 else 'faults'} of this check)"
+        if others
+        else ""
+    )
     return Finding(check, False, faults[0] + more)

@@ -57,14 +57,25 @@ def read_menagerie(name: str, *, what: str, instead: str) -> MjcfFile:
         text = path.read_text(encoding="utf-8")
     except (mujoco_menagerie.MenagerieError, OSError) as err:
         raise NotUsable(
-            f"the model {name!r} of MuJoCo Menagerie cannot be loaded ({one_line(err)}); connect to "
-            "the network once so that it can be downloaded, or set MENAGERIE_ROOT to a local copy of "
-            f"Menagerie, or {instead}"
+            f"the model {name!r} of MuJoCo Menagerie cannot be loaded ({one_line(err)}); "
+            f"{_remedy(robot_name, one_line(err))}, or {instead}"
         ) from err
     import mujoco
 
     spec = mujoco.MjSpec.from_string(text, assets=dict(files))
     return MjcfFile(path, spec, dict(files), digest_of(files))
+
+
+def _remedy(robot: str, said: str) -> str:
+    """What to do about a model that cannot be loaded, by whether the robot is there."""
+    if "no entry point" in said:
+        return f"name one of those that {robot} has"
+    if "MENAGERIE_ROOT=" in said:
+        return "check the name, or what MENAGERIE_ROOT names"
+    return (
+        "connect to the network once so that it can be downloaded, or set MENAGERIE_ROOT to a local copy "
+        "of Menagerie"
+    )
 
 
 def read_file(path: Path, key: str, *, what: str) -> MjcfFile:

@@ -8,6 +8,7 @@ import types
 from pathlib import Path
 
 import numpy as np
+import pytest
 from made_armed import made_run, write_rig
 
 from bidexdata.arms.chain import chain_forward
@@ -22,15 +23,15 @@ from bidexdata.runs.trajectories import export_trajectories
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "arms.md"
 TICK = 0.02
 """From one picture of the script to the next [s]; the last is less before the end."""
-END = 0.4
+SECONDS, END = 0.5, 0.4
 
 
 def swung(robot, field, scenes, targets, config, device="cpu"):
-    """In place of the solver: all joints turn by END while a second goes by at each knot."""
+    """In place of the solver: all joints turn by END [rad] in SECONDS."""
     found = [no_solutions(robot, config, len(t.hand_pos), Status.OK) for t in targets]
     for one in found:
         knots = one.arm_path.shape[2]
-        one.arm_time[:] = np.arange(knots)
+        one.arm_time[:] = np.linspace(0, SECONDS, knots)
         for h, arm in enumerate(robot.arms):
             own = len(arm.chain.joint_names)
             one.arm_path[:, h, :, :own] = np.linspace(0, END, knots)[:, None]
@@ -43,6 +44,7 @@ def script(run: Path, folder: Path) -> str:
     return code.replace('"RUN"', repr(str(run))).replace('"DIR"', repr(str(folder)))
 
 
+@pytest.mark.slow
 def test_the_script_brings_hands_and_object_to_their_places(tmp_path: Path, monkeypatch):
     module = types.ModuleType("bidexdata.arms.solve")
     module.solve_scenes = swung  # ty: ignore
