@@ -52,6 +52,7 @@ def figure_lines(
         rig: Whose arms tests with arms were run with.
     """
     from bidexdata.formats.figures import rows_text
+    from bidexdata.record.fields import TESTS
 
     lines = [
         f"{rows_text(figures)} of {counted(figures['objects'], 'object')} "
@@ -59,7 +60,8 @@ def figure_lines(
     ]
     if figures["by_status"]:  # nothing is known of the attempts behind imported rows
         lines.append(f"attempts (before any test): {counts_text(figures['by_status'])}")
-    tested = {t: v for t, v in figures["tests"].items() if v["selected"]["n"] or v["by_verdict"]}
+    ordered = sorted(figures["tests"].items(), key=lambda item: TESTS.index(item[0]))
+    tested = {t: v for t, v in ordered if v["selected"]["n"] or v["by_verdict"]}
     for test, found in tested.items():
         rates = f"selected {percent(found['selected'])}"
         if figures["kept"] is not None:

@@ -76,6 +76,7 @@ def _values(root: Path, head: Mapping[str, Any]) -> dict[str, Any]:
         "success_text": success_text(head),
         "load_where": f', where="suc_{tests[0]}"' if tests else "",
         "arm_axes": ", A arm joints, K key frames, W knots" if head.get("rigs") else "",
+        "rig_named": "".join(f" Arms: {rig}." for rig in head.get("rigs", ())),
         "arms": _arms(root, head),
         "objects": counted(figures["objects"], "object"),
         "scenes": counted(figures["scenes"], "scene"),

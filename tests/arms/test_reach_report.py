@@ -18,12 +18,15 @@ from bidexdata.arms.generic_pairs import (
     shape_grid,
 )
 from bidexdata.arms.inverse_kinematics import IkConfig
+from bidexdata.arms.mount_gap import mount_gaps
 from bidexdata.arms.reach_report import REASONS, reach_report, report_pairs
 from bidexdata.arms.registry import load_rig
-from bidexdata.arms.robot import mount_robot
+from bidexdata.arms.robot import mount_robot, robot_spec
+from bidexdata.arms.views import axis_parts, footprint_radius
 from bidexdata.cli.main import COMMANDS, run
 from bidexdata.hands import load_hands
 from bidexdata.objects.distance_field import signed_distance
+from bidexdata.runs import check_rig
 
 
 def test_palms_of_generic_pairs_stand_off_the_surface_and_look_at_it(rng):
@@ -104,6 +107,38 @@ def test_a_rig_that_cannot_be_loaded_fails_one_check_with_exit_code_3(tmp_path, 
     assert "arm.xml: no such file" in said.out
     assert "rig made does not pass 1 check: model" in said.err
     assert not out.exists()
+    for how in ("--quiet", "--json"):  # nobody reads the table of checks then
+        assert run(["rigs", "check", str(path), "--out", str(out), how]) == 3
+        assert "arm.xml: no such file" in capsys.readouterr().err
+
+
+def test_a_hand_in_the_air_is_measured_from_the_last_link(tmp_path):
+    def gaps(forward: float):
+        mount = {**rig_data()["mounts"]["*"], "pos": [0.04, 0, forward]}
+        folder = tmp_path / f"{forward:g}"
+        folder.mkdir()
+        path = write_rig(folder, mounts={"*": mount})
+        robot = mount_robot(load_rig(path), load_hands("capsule"))
+        return np.array(mount_gaps(robot, robot_spec(robot).compile()))
+
+    near, far = gaps(0.12), gaps(0.22)
+    np.testing.assert_allclose(far - near, 0.1, atol=0.01)  # along the flange's axis
+    assert near[0] == pytest.approx(near[1], abs=1e-3)
+    robot = mount_robot(load_rig(tmp_path / "0.22" / "made.yaml"), load_hands("capsule"))
+    (said,) = check_rig._hanging(robot, robot_spec(robot).compile())
+    assert said.passed
+    assert f"left {1e3 * far[0]:.0f} mm" in said.says
+
+
+def test_the_map_has_a_tick_at_every_place_and_a_footprint_of_the_largest_objects():
+    low = [np.min([p.vertices[:, k].min() for p in axis_parts(0.3)]) for k in range(2)]
+    assert low[0] < -0.5
+    assert low[1] < -0.6  # outside of the balls
+    ticks = len(axis_parts(0.3)) - 2
+    assert ticks == 11 + 13
+    pairs = report_pairs(3)
+    radius = footprint_radius(pairs)
+    assert 0.2 < radius <= pairs.size.max() / 2 + 1e-6
 
 
 @pytest.mark.slow

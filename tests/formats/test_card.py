@@ -160,6 +160,7 @@ def test_the_card_and_info_of_a_release_with_arms_name_the_rig(packed, tmp_path,
     armed = made_release(tmp_path / "armed", arms=True)
     card = (armed / "DATASET_CARD.md").read_text()
     assert "The rig is `made`: two made chains." in card
+    assert "Hands: made left, made right. Arms: made.\n" in card
     assert "left Apache-2.0, right Apache-2.0" in card
     assert "C contacts, A arm joints, K key frames, W knots;" in card
     found = Release.open(armed).figures["tests"]["a"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 import sys
 import types
 from pathlib import Path
@@ -20,11 +21,13 @@ from bidexdata.errors import BadConfig, ConfigConflict, Contradiction, NotUsable
 from bidexdata.record import Status
 from bidexdata.record.fields import columns_written_by
 from bidexdata.runs.arms import arms_run
+from bidexdata.runs.chosen import other_rigs, rig_option
 from bidexdata.runs.finished import Finished
 from bidexdata.runs.info import describe
 from bidexdata.runs.run import Run, verdict_fingerprint
 from bidexdata.runs.run_rows import verdict_batch
 from bidexdata.runs.shards import shard_path, write_shard, write_text
+from bidexdata.runs.spec import RunRig
 from bidexdata.runs.stage import TaskExecution
 from bidexdata.validation.protocols import load_protocol
 
@@ -228,10 +231,79 @@ def test_the_command_says_what_it_did(run: Run, rig: Path, capsys):
     assert said["reachable"] == said["by_status"]["ok"]
     assert set(said["by_size"]) == {"300", "400"}
     assert said["next"] == f"bidexdata validate {run.path} --tests l,a"
+    assert said["now"] == {k: said[k] for k in ("n", "reachable", "by_status", "by_size")}
     assert bidexdata(["arms", str(run.path), *options]) == 0
     assert "none open" in capsys.readouterr().out
     assert bidexdata(["arms", str(run.path), *options, "--set", "path.lift=0.3"]) == 5
     assert bidexdata(["arms", str(run.path.parent)]) == 3
+
+
+def test_counts_are_those_of_the_whole_run_however_often_one_asks(run: Run, rig: Path, capsys):
+    command = ["arms", str(run.path), "--rig", str(rig), "--executor", "inline", "--json"]
+    assert bidexdata(command) == 0
+    whole = json.loads(capsys.readouterr().out)
+    told = ("n", "reachable", "by_status", "by_size")
+    assert bidexdata(command) == 0
+    again = json.loads(capsys.readouterr().out)
+    next((run.path / "arms" / "made").glob("??/*.arrow")).unlink()
+    assert bidexdata(command) == 0
+    resumed = json.loads(capsys.readouterr().out)
+    for said in (again, resumed):
+        assert {k: said[k] for k in told} == {k: whole[k] for k in told}
+    assert (again["now"]["n"], resumed["tasks_before"]) == (0, len(run.tasks) - 1)
+    assert 0 < resumed["now"]["n"] < whole["n"]
+    arms = describe(run.path)["arms"]  # before any test
+    assert arms["all"] == {k: whole[k] for k in told}
+    solved = [run.for_rig("made").task_arms(t, run.task_batch(t)) for t in run.tasks]
+    for kind in ("selected", "audit"):
+        for mm in (300, 400):
+            ok = sum(int(np.sum(b[kind] & (b["size_mm"] == mm) & (b["arm_status"] == Status.OK)))
+                     for b in solved)  # fmt: skip
+            assert arms[kind]["by_size"][str(mm)].get("ok", 0) == ok
+    assert bidexdata(["info", str(run.path)]) == 0
+    assert "have a motion (selected)" in capsys.readouterr().out
+
+
+def test_a_refused_change_says_what_to_remove_and_that_works(run: Run, rig: Path, tmp_path, capsys):
+    command = ["arms", str(run.path), "--rig", str(rig), "--executor", "inline", "--quiet"]
+    verdicts = run.path / "validate" / "paper-1" / "a-made"
+    assert bidexdata(command) == 0
+    verdicts.mkdir(parents=True)
+    assert bidexdata([*command, "--set", "path.lift=0.3"]) == 5
+    said = capsys.readouterr().err
+    folders = [run.path / "arms" / "made", verdicts]
+    assert f"remove {folders[0]}, {folders[1]} to solve anew" in said
+    assert "--out" not in said
+    for folder in folders:
+        shutil.rmtree(folder)
+    assert bidexdata([*command, "--set", "path.lift=0.3"]) == 0
+    other = write_rig(tmp_path / "renamed", name="renamed")  # the other way out
+    assert bidexdata(["arms", str(run.path), "--rig", str(other), *command[4:]]) == 0
+    assert Run.open(run.path, rig="renamed").arm_rigs() == ("made", "renamed")
+
+
+def test_the_next_command_names_the_rig_that_it_would_not_take(run: Run, rig: Path, tmp_path):
+    other = write_rig(tmp_path / "b", name="other")
+    for path in (rig, other):
+        arms_run(run, path, execution=INLINE)
+    made_for = RunRig(name="made", rig="made", digest="", config={})
+    known = dataclasses.replace(run, spec=dataclasses.replace(run.spec, rig=made_for))
+    said = ("--rig", "other")
+    cases = [(run, "made", ("--rig", "made")), (run, "other", said)]
+    cases += [(known, "made", ()), (known, "", ()), (known, "other", said)]
+    for opened, name, words in cases:
+        assert rig_option(dataclasses.replace(opened, asked_rig=name)) == words
+    assert other_rigs(run.for_rig("made")) == ("other",)
+    assert describe(run.path, rig="other")["rigs"] == ["made", "other"]
+
+
+def test_a_rig_that_is_not_there_is_not_offered_to_be_solved(run: Run, rig: Path):
+    arms_run(run, rig, execution=INLINE)
+    with pytest.raises(UnknownName) as nothing:
+        run.for_rig("nosuch")
+    assert "bidexdata arms" not in str(nothing.value)
+    with pytest.raises(UnknownName, match=r"bidexdata arms .* --rig xarm7_leap"):
+        run.for_rig("xarm7_leap")
 
 
 def test_the_command_ends_with_6_where_nothing_is_reachable(
@@ -243,4 +315,7 @@ def test_the_command_ends_with_6_where_nothing_is_reachable(
     monkeypatch.setattr(sys.modules["bidexdata.arms.solve"], "solve_scenes", none)
     command = ["arms", str(run.path), "--rig", str(rig), "--executor", "inline", "--quiet"]
     assert [bidexdata(command) for _ in range(2)] == [6, 6]
-    assert "can take not one grasp" in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert f"can take not one grasp; `bidexdata rigs check {rig}`" in said.err
+    assert bidexdata([*command[:-1], "--json"]) == 6
+    assert "next" not in json.loads(capsys.readouterr().out)

@@ -16,6 +16,7 @@ from bidexdata.errors import NotUsable, UnknownName
 from bidexdata.formats.release import Release
 from bidexdata.record import Status
 from bidexdata.runs.trajectories import export_trajectories
+from bidexdata.runs.trajectory_rig import rig_lines
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +62,23 @@ def test_every_selected_row_with_a_motion_is_written_once_and_the_others_are_cou
     text = (tmp_path / "out" / "README.md").read_text()
     assert "Motions of made" in text
     assert "- left arm: j0, j1, lh_W\n" in text
+
+
+def test_the_rig_lies_beside_the_motions_and_the_page_says_where_it_stands(armed, tmp_path):
+    export_trajectories(armed, tmp_path / "out", "csv", limit=1, quiet=True)
+    rig = tmp_path / "out" / "rig.json"
+    assert rig.read_bytes() == (armed / "rigs" / "made" / "rig.json").read_bytes()
+    arm = {"source": "my_arm.xml", "flange": "tip"}
+    spec = {"arm": arm, "left": {"pos": [0, 0.7, 0.2], "quat_wxyz": [0, 0, 0, 1]}}
+    spec |= {"right": {"pos": [0, -0.7, 0.2], "quat_wxyz": [1, 0, 0, 0]}}
+    spec |= {"mounts": {"*": {"pos": [0.04, 0, 0.12]}, "made": {"top": "forearm"}}}
+    said = "\n".join(rig_lines(spec, Release.open(armed).hands))
+    assert "left base, my_arm.xml: (0, 0.7, 0.2), (0, 0, 0, 1)" in said
+    assert "right hand made: the body `forearm`" in said
+    assert said.count("in the frame of the arm's `tip`: (0, 0, 0), (1, 0, 0, 0)") == 2
+    del spec["mounts"]["made"]
+    said = "\n".join(rig_lines(spec, Release.open(armed).hands))
+    assert said.count("its palm frame in the frame of the arm's `tip`: (0.04, 0, 0.12)") == 2
 
 
 def test_messages_lie_by_arm_and_hand(armed, tmp_path):
