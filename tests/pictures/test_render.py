@@ -12,7 +12,7 @@ from bidexdata.errors import BadConfig, MissingExtra, NotUsable, PathNotFound, U
 from bidexdata.record.status import Status
 from bidexdata.runs import render as render_module
 from bidexdata.runs.browse import open_browsable, verdicts_of
-from bidexdata.runs.choose import choose_grasps
+from bidexdata.runs.choose import choose_grasps, chosen_of_each
 from bidexdata.runs.render import render
 
 
@@ -50,6 +50,16 @@ def test_chosen_grasps_are_different_spread_and_what_was_asked_for(source, count
     assert max(per_object) - min(per_object) <= 1
     if count == 5 and only is None:
         assert {int(s.batch["size_mm"][s.row]) for s in chosen} == {300, 500}
+
+
+def test_statuses_that_no_grasp_came_to_leave_their_places_to_the_others(source):
+    both = [Status.SLIP, Status.NO_PLACEMENT]  # without a pose
+    slips = len(choose_grasps(source, 99, status=Status.SLIP))
+    count = min(4, 2 * (slips // 2))
+    assert count >= 2
+    chosen = chosen_of_each(source, count, None, both, 0, moving=False)
+    assert len(chosen) == count
+    assert len(chosen_of_each(source, count, None, both[:1], 0, moving=False)) == count
 
 
 def test_grasps_are_chosen_by_what_became_of_them(source, opened, tmp_path: Path):

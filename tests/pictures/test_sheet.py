@@ -20,7 +20,7 @@ from bidexdata.pictures.sheet import (
     save_picture,
     wrapped,
 )
-from bidexdata.record.status import Status
+from bidexdata.record.status import Status, TestStage
 
 
 def tile(value: int, caption: Caption) -> Tile:
@@ -162,6 +162,19 @@ def test_a_caption_has_the_verdict_of_every_test(hands):
     caption = grasp_caption(tested, 0)
     assert caption.lines[2] == "not validated by test l"
     assert caption.good == (False, None)
+
+
+def test_an_object_thrown_before_the_hands_close_is_not_said_to_be_thrown_after(hands):
+    batch = grasps(hands, box_solid("box0-00000000"))
+    for stage, said in ((TestStage.APPROACH, "before the hands had"), (TestStage.LIFT, "when the")):
+        columns = {
+            "verdict_status": np.full(len(batch), Status.THROWN, np.int8),
+            "success": np.zeros(len(batch), bool),
+            "failed_stage": np.full(len(batch), stage, np.int8),
+        }
+        thrown = dataclasses.replace(batch, columns={**batch.columns, **columns})
+        row = int(np.flatnonzero(thrown["synth_status"] == Status.OK)[0])
+        assert f"beyond the limits {said}" in verdict_words(thrown, row, test="a")[0]
 
 
 def test_a_load_direction_is_named(hands):

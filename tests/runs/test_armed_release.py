@@ -182,7 +182,8 @@ def test_runs_of_different_rigs_are_packed_apart_or_by_name(solved: Run, library
     with pytest.raises(UnknownName, match="other"):
         pack_runs(paths, tmp_path / "release", rig="made", **PACK)
     stage.arms_run(other, write_rig(tmp_path / "rig"), CONFIG, execution=INLINE)
-    pack_runs(paths, tmp_path / "release", rig="made", form="parquet", **PACK)
+    report = pack_runs(paths, tmp_path / "release", rig="made", form="parquet", **PACK)
+    assert (report.rig, report.other_rigs) == ("made", ("other",))
     assert Release.open(tmp_path / "release").rig == "made"
 
 
