@@ -27,7 +27,7 @@ RULES: ArmRules = PAPER.arm
 UNBOUND = replace(RULES, servo_bound=None)
 STEP = 0.05
 """By which all targets jump at once [rad]; it drives the motors into their limits."""
-STILL = 0.02
+STILL = 0.03
 """Slower than this is at rest [rad/s]."""
 SWINGS = {
     "weak": True,
