@@ -42,8 +42,7 @@ STEPS = {
     "ways home": [(ways_home.WaysHome, "find"), (ways_home.WaysHome, "__init__")],
     "clearance of pairs": [
         (pairing, "apart_at"),
-        (pairing, "clear_at"),
-        (pairing, "clear_together"),
+        (pairing, "look"),
     ],
     "smoothing": [(pairing.Smoother, "smooth")],
     "MuJoCo": [(pairing, "final_word")],

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from bidexdata.arms.chain import chain_forward
 from bidexdata.arms.clearance import FAR, clear_at
 from bidexdata.arms.config import ArmConfig, just_above
 from bidexdata.arms.inverse_kinematics import (
@@ -88,15 +89,27 @@ def ways(
     around: Surroundings,
     grasps: Grasps,
     config: ArmConfig,
+    refused: Int[np.ndarray, " N"] | None = None,
 ) -> Ways:
-    """Give one hand's waypoints of each grasp: stand-off, pre-grasp, grasp, squeeze, lift."""
+    """Give one hand's waypoints of each grasp: stand-off, pre-grasp, grasp, squeeze, lift.
+
+    Args:
+        robot: The robot.
+        side: Which hand.
+        around: The object, and the hands as they are before they close.
+        grasps: The grasps.
+        config: How.
+        refused: How many stand-offs of each are passed over, the best first; none when omitted.
+    """
     path = config.path
+    if refused is None:
+        refused = np.zeros(len(grasps.size), np.int64)
     pregrasp, grasp, squeeze = (
         Poses(grasps.hand_pos[:, side, s], grasps.hand_quat_wxyz[:, side, s]) for s in range(3)
     )
     if path.squeeze_palm == "fixed":
         squeeze = grasp
-    back = stand_offs(robot.hands[side], side, pregrasp, around, config)
+    back = stand_offs(robot.hands[side], side, pregrasp, around, config, refused)
     frames = [back, pregrasp, grasp, squeeze, lifted(squeeze, path.lift)]
     _approach, *counts = path.knots
     parts = [Poses(back.pos[:, None], back.quat_wxyz[:, None])]
@@ -272,7 +285,25 @@ def _follow(
     part.room[alive] = np.minimum(least, config.clearance.enough)[alive]
     free = alive & (least >= config.clearance.margin)
     part.gate[free], part.status[free] = FREE, Status.OK
-    part.cost[free] = (away - _ROOM_COUNTS * part.room)[free]
+    off = config.search.straight * hand_detour(arm, part.q[free][:, 0])
+    part.cost[free] = (away - _ROOM_COUNTS * part.room)[free] + off
+
+
+def hand_detour(arm: Arm, goal: Float[np.ndarray, "M A"]) -> Float[np.ndarray, " M"]:
+    """How far a hand leaves the straight line home-goal where its joints move in straight lines [m].
+
+    The larger distance from that line of where the hand is after a third and two thirds of the way.
+
+    Args:
+        arm: The arm.
+        goal: Postures that it moves to from rest [rad].
+    """
+    share = np.array([0.0, 1 / 3, 2 / 3, 1.0])[:, None, None]
+    pos, _rot = chain_forward(arm.chain, (1 - share) * arm.chain.rest + share * goal)
+    line, between = pos[3] - pos[0], pos[1:3] - pos[0]
+    square = np.maximum((line**2).sum(axis=-1), 1e-12)
+    along = np.clip((between * line).sum(axis=-1) / square, 0.0, 1.0)
+    return np.linalg.norm(between - along[..., None] * line, axis=-1).max(axis=0, initial=0.0)
 
 
 def _name_misses(

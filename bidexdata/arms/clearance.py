@@ -36,6 +36,17 @@ class Clearances(NamedTuple):
     """Links against each other and against the rig's fixtures."""
 
 
+class PairClearances(NamedTuple):
+    """Of two arms at M configurations that follow each other."""
+
+    apart: Float[np.ndarray, " M"]
+    """Least distance between them [m]."""
+    alone: Float[np.ndarray, " M"]
+    """Least distance of one of them from table, object, fixtures and itself [m]."""
+    way: Float[np.ndarray, "2 W"]
+    """How far some sphere of each goes to the next configuration [m], W = M - 1."""
+
+
 def clear_at(
     arm: Arm,
     q: Float[np.ndarray, "M A"],
@@ -108,11 +119,12 @@ def clear_together(
     rows: Int[np.ndarray, " M"],
     around: Surroundings,
     *,
-    most: float = FAR,
-) -> Float[np.ndarray, " M"]:
-    """Least clearance of two arms with their hands: from all around, themselves and each other [m].
+    with_hands: bool = True,
+    most: tuple[float, float] = (FAR, FAR),
+) -> PairClearances:
+    """Clearances of two arms, and how far they go from one configuration to the next.
 
-    As `clear_at` of both and `apart_at`, but the spheres are placed once.
+    As `apart_at`, and `clear_at` of both, but the spheres are placed once.
 
     Args:
         arms: Left and right.
@@ -120,20 +132,34 @@ def clear_together(
         right: Of the right arm, each with its like [rad].
         rows: The grasp that each is of.
         around: What is there.
-        most: Larger clearances are given as this, which takes less time [m].
+        with_hands: The hands count.
+        most: Larger clearances between the arms, and of each alone, are given as these, which takes
+            less time [m].
     """
     if not len(rows):
-        return np.zeros(0)
+        return PairClearances(np.zeros(0), np.zeros(0), np.zeros((2, 0)))
     device = around.device
     of = _whole(rows, device)
+    hands = around.hands if with_hands else (nothing_held(device),) * 2
     one, other = (
         place_arm(arm, q, of, hand, device)
-        for arm, q, hand in zip(arms, (left, right), around.hands, strict=True)
+        for arm, q, hand in zip(arms, (left, right), hands, strict=True)
     )
-    gap = _between(one, other, _like_with_like(len(rows)), most, device)
-    for placed in (one, other):
-        gap = np.minimum(gap, _alone(placed, around, most).min(axis=0))
-    return gap
+    return PairClearances(
+        apart=_between(one, other, _like_with_like(len(rows)), most[0], device),
+        alone=np.min([_alone(placed, around, most[1]).min(axis=0) for placed in (one, other)], 0),
+        way=np.stack([_ways(placed, device) for placed in (one, other)]),
+    )
+
+
+def _ways(placed: PlacedArm, device: str) -> Float[np.ndarray, " W"]:
+    import warp as wp
+
+    from bidexdata.arms.clearance_kernels import ways_of_spheres
+
+    out = wp.empty(placed.rows.shape[0] - 1, dtype=float, device=device)
+    wp.launch(ways_of_spheres, dim=out.shape[0], inputs=[placed.centre, out], device=device)
+    return out.numpy().astype(np.float64)
 
 
 def _alone(placed: PlacedArm, around: Surroundings, most: float) -> Float[np.ndarray, "3 M"]:

@@ -334,6 +334,21 @@ def clear_of_each_other(
 
 
 @wp.kernel
+def ways_of_spheres(
+    # Centres of spheres and balls at configurations that follow each other:
+    centre_in: wp.array2d(dtype=wp.vec3),
+    # Largest way of one of them to the next configuration out:
+    way_out: wp.array(dtype=float),
+):
+    """How far the spheres of an arm and its hand go from one configuration to the next."""
+    m = wp.tid()
+    longest = float(0.0)
+    for k in range(centre_in.shape[1]):
+        longest = wp.max(longest, wp.length_sq(centre_in[m + 1, k] - centre_in[m, k]))
+    way_out[m] = wp.sqrt(longest)
+
+
+@wp.kernel
 def room_of_hands(
     # Hand and object, by row:
     hand: HandArrays,

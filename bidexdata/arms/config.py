@@ -20,10 +20,17 @@ class ClearanceConfig:
     enough: float = 0.03
     """Clearance beyond which more does not make a posture better [m]."""
     asked: float = 0.03
-    """Clearance by spheres below which MuJoCo is asked about a knot that is no key frame [m]: links
-    stand out of their spheres by 0.025 m at most."""
+    """Clearance by spheres below which MuJoCo is asked [m], at the place itself and half way to those
+    that are looked at before and behind it: links stand out of their spheres by 0.025 m at most."""
+    spacing: float = 0.05
+    """Farthest that a link or a hand goes between two places that spheres look at [m]. More of them cost
+    spheres, fewer cost MuJoCo, which is asked the sooner the farther they are apart."""
+    finest: float = 0.0065
+    """Farthest that one goes between two places that MuJoCo is asked about, where it finds so little
+    room that an overlap may lie between them [m]. Motions that were played ten times as finely meet
+    nothing that this misses."""
     depth: float = 0.001
-    """Overlap that MuJoCo may find at a knot [m]."""
+    """Overlap that MuJoCo may find [m]."""
     reach: float = 0.02
     """Larger clearances are stored as this [m]."""
 
@@ -31,6 +38,8 @@ class ClearanceConfig:
         refuse_outside(self, "margin", -0.1, 0.1)
         refuse_outside(self, "enough", 0, 1)
         refuse_outside(self, "asked", 0, 1)
+        refuse_outside(self, "spacing", 0.005, 1)
+        refuse_outside(self, "finest", 0.001, 1)
         refuse_outside(self, "depth", 0, 0.01)
         refuse_outside(self, "reach", 0.001, 1)
 
@@ -92,6 +101,10 @@ class SearchConfig:
     """Pairs of postures of the two arms that are tried [-]."""
     words: int = 3
     """Of those, how many MuJoCo may refuse [-]."""
+    straight: float = 5.0
+    """What a metre that the hand leaves the straight line to the stand-off by counts, where joints move
+    in straight lines, against turns away from rest [rad/m]: of postures that are about as good, the one
+    whose way looks least roundabout."""
     back_off: float = 0.15
     """Where the straight way from home to the stand-off is blocked, it goes by a pose this much
     farther back, one this much higher, or both [m]."""
@@ -107,6 +120,9 @@ class SearchConfig:
     """How far they lie beside the straight line in joint space [rad]."""
     replans: int = 24
     """Ways that the planner checks, shortest first [-]."""
+    standoffs: int = 3
+    """Stand-offs of a hand that are tried, where the open hand meets something on its way from one to
+    the pre-grasp [-]."""
     step: float = 0.1
     """Largest turn of a joint between checks of a way [rad]."""
 
@@ -122,7 +138,9 @@ class SearchConfig:
             "replans",
         ):
             refuse_outside(self, name, 1, 1024)
+        refuse_outside(self, "standoffs", 1, 6)
         refuse_outside(self, "nodes", 0, 4096)
+        refuse_outside(self, "straight", 0, 1000)
         refuse_outside(self, "back_off", 0.01, 1)
         refuse_outside(self, "spread", 0, 10)
         refuse_outside(self, "rest_spread", 0, 10)

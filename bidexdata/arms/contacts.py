@@ -1,8 +1,10 @@
 """How far a robot stands from table, object and itself by MuJoCo: the final word on a path.
 
-A hand's touch is the grasp's own business: fingers on the object once they close, and overlaps of
-the hands with the table or each other that are no deeper than synthesis lets them be where it is not
-told otherwise: its limits are settings of a run, and grasps of any run or import come here.
+Hands count as arms do until they close. From then on their touch is the grasp's own business: fingers
+on the object, and overlaps of the hands with the table or each other that are no deeper than synthesis
+lets them be where it is not told otherwise: its limits are settings of a run, and grasps of any run or
+import come here. A hand's own forearm and wrist against that hand never count: one model, kept apart by
+the limits of its joints, and as near as a millimetre in every posture.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 
 from bidexdata.arms.arm_scene import ARM, FIXTURE, ArmScene, place_joints
 from bidexdata.engine_log import engine_warnings_logged
+from bidexdata.simulation.assembly import hand_prefix
 from bidexdata.simulation.scene import NOBODY
 from bidexdata.simulation.settings import HANDS_DEPTH, TABLE_DEPTH
 
@@ -33,13 +36,16 @@ class ArmDepths(NamedTuple):
     """Least signed distances [m], at most the reach; negative = depth of an overlap."""
 
     table: Float[np.ndarray, "*t"]
-    """Of arms from the table, and of hands that are in it deeper than a grasp may be."""
+    """Of arms from the table, of hands too until they close; then of hands that are in it deeper than a
+    grasp may be."""
     obj: Float[np.ndarray, "*t"]
-    """Of arms from the object; of hands too while they do not touch it."""
+    """Of arms from the object, of hands too until they close."""
     arms: Float[np.ndarray, "*t"]
-    """Of one arm from the other arm and its hand; of hands that are in each other too deep."""
+    """Of one arm from the other arm and its hand, and of the hands until they close; then of hands that
+    are in each other too deep."""
     itself: Float[np.ndarray, "*t"]
-    """Within one arm, from its own hand, and of arms and hands from fixtures."""
+    """Within one arm, from its own hand, and of arms and hands from fixtures; without a hand's own forearm
+    and wrist against it."""
 
 
 class PairKinds(NamedTuple):
@@ -61,7 +67,8 @@ def pair_kinds(arms: ArmScene, *, hands_touch: bool) -> PairKinds:
 
     Args:
         arms: The scene.
-        hands_touch: Fingers may touch the object.
+        hands_touch: Hands close or have closed: they may touch the object, and be in the table and in
+            each other as deep as a grasp may.
     """
     of_object = arms.scene.object_owner
     owners = range(FIXTURE, of_object + 1)
@@ -75,7 +82,7 @@ def pair_kinds(arms: ArmScene, *, hands_touch: bool) -> PairKinds:
     for i in range(2):
         arm, other = ARM - i, 1 - i
         rule(arm, NOBODY, TABLE)
-        rule(i, NOBODY, TABLE, TABLE_DEPTH)
+        rule(i, NOBODY, TABLE, TABLE_DEPTH if hands_touch else -np.inf)
         rule(arm, of_object, OBJECT)
         rule(i, of_object, _NONE if hands_touch else OBJECT)
         rule(arm, ARM - other, ARMS)
@@ -83,7 +90,7 @@ def pair_kinds(arms: ArmScene, *, hands_touch: bool) -> PairKinds:
         for own in (arm, i):
             rule(arm, own, ITSELF)
             rule(FIXTURE, own, ITSELF)
-    rule(0, 1, ARMS, HANDS_DEPTH)
+    rule(0, 1, ARMS, HANDS_DEPTH if hands_touch else -np.inf)
     return PairKinds(kind, may, -FIXTURE)
 
 
@@ -104,7 +111,7 @@ def arm_distances(
         joints: Of the hands [rad], as many as of the arms or one for all.
         rise: How much higher than that the object is in each posture [m].
         reach: Pairs farther apart than this are not looked for [m].
-        hands_touch: Fingers may touch the object.
+        hands_touch: As for `pair_kinds`.
     """
     import mujoco
 
@@ -115,12 +122,11 @@ def arm_distances(
     found = np.empty((len(postures), 4))
     height, up = arms.scene.object_qpos + 2, None if rise is None else rise.ravel()
     low = float(data.qpos[height])
-    kinds, new_masks, near, bodies = _looked_at(arms, hands_touch=hands_touch)
-    masks = Masks(*(getattr(model, name).copy() for name in Masks._fields))
-    model.geom_gap[near] = reach
-    model.body_margin[bodies] = reach  # what the broad phase reads
+    looked = _looked_at(arms, hands_touch=hands_touch)
+    model.geom_gap[:] = 0.5 * reach  # MuJoCo adds those of a pair
+    model.body_margin[looked.bodies] = reach  # what the broad phase reads
     try:
-        _set_masks(model, new_masks)
+        _set_masks(model, looked.masks)
         with engine_warnings_logged():
             for k in range(len(postures)):
                 place_joints(arms, postures[k], fingers[k])
@@ -128,11 +134,12 @@ def arm_distances(
                     data.qpos[height] = low + up[k]
                 mujoco.mj_kinematics(model, data)
                 mujoco.mj_collision(model, data)
-                found[k] = least_distances(arms, kinds, reach)
+                found[k] = least_distances(arms, looked.kinds, reach, looked.owner)
     finally:
-        _set_masks(model, masks)
-        model.geom_gap[near] = 0.0
-        model.body_margin[bodies] = 0.0
+        if looked.masks is not None:
+            _set_masks(model, looked.own_masks)
+        model.geom_gap[:] = 0.0
+        model.body_margin[looked.bodies] = 0.0
         if up is not None:
             data.qpos[height] = low
     return ArmDepths(*(column.reshape(lead) for column in found.T))
@@ -147,15 +154,22 @@ class Masks(NamedTuple):
     body_conaffinity: NDArray[np.int32]
 
 
-def masks_of_kinds(arms: ArmScene, kinds: PairKinds) -> Masks | None:
+def masks_of_kinds(
+    arms: ArmScene, kinds: PairKinds, owners: NDArray[np.int64] | None = None
+) -> Masks | None:
     """Bits that leave out pairs which do not count: fingers of one hand above all.
+
+    Args:
+        arms: The scene.
+        kinds: What counts.
+        owners: Of the geoms; the scene's when omitted, (G,).
 
     Returns:
         None where bits cannot say both that and what the model's own say.
     """
     model = arms.scene.model
     meets = (model.geom_contype | model.geom_conaffinity) != 0
-    owner = arms.scene.geom_owner + kinds.shift
+    owner = (arms.scene.geom_owner if owners is None else owners) + kinds.shift
     counts = kinds.kind != _NONE
     with_others = (counts * (1 << np.arange(len(counts)))).sum(axis=1)
     contype = np.where(meets, 1 << owner, 0).astype(np.int32)
@@ -173,22 +187,36 @@ class _LookedAt(NamedTuple):
     """What a scene of arms is measured with."""
 
     kinds: PairKinds
+    owner: NDArray[np.int64]
+    """Of the geoms: the scene's, but forearm and wrist of a hand have numbers of their own, (G,)."""
     masks: Masks | None
-    near: NDArray[np.bool_]
-    """Geoms that are looked for before they touch, (G,)."""
+    own_masks: Masks
+    """The model's."""
     bodies: NDArray[np.int64]
-    """Of these geoms, without the world."""
+    """Of its geoms, without the world."""
 
 
 @lru_cache(maxsize=4)
 def _looked_at(arms: ArmScene, *, hands_touch: bool) -> _LookedAt:
-    kinds = pair_kinds(arms, hands_touch=hands_touch)
-    owner = arms.scene.geom_owner
-    near = owner <= ARM
-    if not hands_touch:
-        near |= owner == arms.scene.object_owner
-    bodies = np.setdiff1d(arms.scene.model.geom_bodyid[near], [0])
-    return _LookedAt(kinds, masks_of_kinds(arms, kinds), near, bodies)
+    owner, kinds = _with_carriers(arms, pair_kinds(arms, hands_touch=hands_touch))
+    masks = masks_of_kinds(arms, kinds, owner)
+    own_masks = Masks(*(getattr(arms.scene.model, name).copy() for name in Masks._fields))
+    bodies = np.setdiff1d(arms.scene.model.geom_bodyid, [0])
+    return _LookedAt(kinds, owner, masks, own_masks, bodies)
+
+
+def _with_carriers(arms: ArmScene, kinds: PairKinds) -> tuple[NDArray[np.int64], PairKinds]:
+    """Make owners of forearm and wrist of each hand, which meet all that their arm does but that hand."""
+    model, owner, count = arms.scene.model, arms.scene.geom_owner.copy(), len(kinds.kind)
+    of = np.concatenate([np.arange(count), [ARM + kinds.shift, ARM - 1 + kinds.shift]])
+    kind, may = (values[np.ix_(of, of)] for values in (kinds.kind, kinds.may))
+    named = [model.body(int(b)).name for b in model.geom_bodyid]
+    for i in range(2):
+        carries = np.array([name.startswith(hand_prefix(i)) for name in named])
+        carries &= owner == ARM - i
+        owner[carries] = count + i - kinds.shift
+        kind[count + i, i + kinds.shift] = kind[i + kinds.shift, count + i] = _NONE
+    return owner, PairKinds(kind, may, kinds.shift)
 
 
 def _meet(contype: np.ndarray, conaffinity: np.ndarray) -> np.ndarray:
@@ -204,16 +232,55 @@ def _set_masks(model: mujoco.MjModel, masks: Masks | None) -> None:
 
 
 def least_distances(
-    arms: ArmScene, kinds: PairKinds, reach: float = 0.0
+    arms: ArmScene,
+    kinds: PairKinds,
+    reach: float = 0.0,
+    owners: NDArray[np.int64] | None = None,
 ) -> Float[np.ndarray, " 4"]:
-    """Least distances [m] over the contacts that the scene's state lists, by `ArmDepths`' places."""
+    """Least distances [m] over the contacts that the scene's state lists, by `ArmDepths`' places.
+
+    Args:
+        arms: The scene.
+        kinds: What counts.
+        reach: What is given where nothing is nearer [m].
+        owners: Of the geoms; the scene's when omitted, (G,).
+    """
     least = np.full(5, reach)  # the last for pairs that do not count
     contact = arms.scene.data.contact
     geoms = contact.geom
     if len(geoms):
         dist = contact.dist
-        owners = arms.scene.geom_owner[geoms] + kinds.shift
-        kind = kinds.kind[owners[:, 0], owners[:, 1]]
-        counts = dist < -kinds.may[owners[:, 0], owners[:, 1]]
-        np.minimum.at(least, kind[counts], dist[counts])
+        pairs = (arms.scene.geom_owner if owners is None else owners)[geoms] + kinds.shift
+        which = pairs[:, 0] * len(kinds.kind) + pairs[:, 1]
+        counts = dist < -kinds.may.ravel()[which]
+        np.minimum.at(least, kinds.kind.ravel()[which[counts]], dist[counts])
     return least[:4]
+
+
+def nearest_side(
+    arms: ArmScene, place: int, *, hands_touch: bool
+) -> tuple[int, bool]:
+    """Say whose the nearest contact of one kind is in the state that `arm_distances` left last.
+
+    Args:
+        arms: The scene.
+        place: The kind, a place in `ArmDepths`.
+        hands_touch: As it was measured.
+
+    Returns:
+        The number of the arm, -1 where the two of them meet, and whether it is its hand that is near.
+    """
+    looked = _looked_at(arms, hands_touch=hands_touch)
+    contact = arms.scene.data.contact
+    geoms, dist = contact.geom, contact.dist
+    pairs = looked.owner[geoms] + looked.kinds.shift
+    counts = looked.kinds.kind[pairs[:, 0], pairs[:, 1]] == place
+    counts &= dist < -looked.kinds.may[pairs[:, 0], pairs[:, 1]]
+    if place == ARMS or not counts.any():
+        return -1, False
+    owners = arms.scene.geom_owner[geoms[np.flatnonzero(counts)[dist[counts].argmin()]]].tolist()
+    for i in range(2):
+        if ARM - i in owners:
+            return i, False
+    own = [one for one in owners if 0 <= one < 2]
+    return (own[0], True) if own else (-1, False)

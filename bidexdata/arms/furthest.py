@@ -175,7 +175,7 @@ def _collision(
     joints, rise = _fingers(grasps, number), _rise(number, config)
     set_arms(scene, grasps.object_pos[0], grasps.object_quat_wxyz[0], asked[0], joints[0])
     least = np.full(len(number), np.inf)
-    touch = np.asarray(number >= _PREGRASP - 1.0 / _BETWEEN)
+    touch = np.asarray(number >= _PREGRASP)
     for may in (True, False):
         some = np.flatnonzero(touch == may)
         found_here = arm_distances(

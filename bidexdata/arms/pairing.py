@@ -15,9 +15,10 @@ from jaxtyping import Float, Int
 
 from bidexdata.arms.arm_scene import ArmScene
 from bidexdata.arms.candidates import FREE, Candidates
-from bidexdata.arms.clearance import apart_at, clear_at, clear_together
+from bidexdata.arms.clearance import apart_at
 from bidexdata.arms.config import ArmConfig, just_above
-from bidexdata.arms.final_word import final_word
+from bidexdata.arms.final_word import FinalWord, final_word
+from bidexdata.arms.looks import Looks, look
 from bidexdata.arms.robot import Robot
 from bidexdata.arms.smoothing import Smoother
 from bidexdata.arms.solutions import ArmSolutions, Grasps
@@ -46,6 +47,8 @@ class Pairing:
         self._robot, self._scene_at, self._grasps = robot, scene_at, grasps
         self._sides, self._around, self._config = sides, around, config
         both = np.asarray(sides[0].free.any(axis=1) & sides[1].free.any(axis=1))
+        self._scene: ArmScene | None = None
+        self._size = np.nan
         self._home = tuple(
             WaysHome(robot, h, side.q[:, :, 0], side.free & both[:, None], around, config)
             for h, side in enumerate(sides)
@@ -55,6 +58,8 @@ class Pairing:
         self._gate = np.full(len(both), FREE)
         self._tries = np.zeros(len(both), np.int64)
         self._todo = both
+        self.blocked: Int[np.ndarray, " N"] = np.full(len(both), -1)
+        """Side of the open hand that MuJoCo found no room for between stand-off and pre-grasp."""
 
     def solve(self, made: ArmSolutions) -> None:
         """Try harder and harder; writes to `made`."""
@@ -102,38 +107,49 @@ class Pairing:
         apart = self._apart(rows, way)
         self._wait(rows, picks, way, apart)
         # Behind the approach hands are where the grasp has them.
-        on_gap = np.full(on[0].shape[:2], -np.inf)
-        on_gap[apart] = self._gaps_apart(
-            rows[apart], [path[apart] for path in on], self._most, with_hands=False
-        )
-        apart &= on_gap.min(axis=1) >= config.clearance.margin
+        behind = look(self._robot, rows, on, self._around, config, with_hands=False)
+        apart &= behind.least_apart(len(rows)) >= config.clearance.margin
         self._stop(made, rows, picks, ~apart, APART, Status.COLLISION_ARMS)
-        rows, picks = rows[apart], picks[apart]
+        kept = np.flatnonzero(apart)
+        rows, picks = rows[kept], picks[kept]
         if not len(rows):
             return
-        paths = [np.concatenate([way[h][apart], on[h][apart]], axis=1) for h in range(2)]
-        gap = self._smooth(rows, paths, on_gap[apart])
+        paths = [np.concatenate([way[h][kept], on[h][kept]], axis=1) for h in range(2)]
+        before = self._smooth(rows, paths)
         turns = np.max([_largest_step(path) for path in paths], axis=0)
         steady = turns <= config.path.largest_step
         self._stop(made, rows, picks, ~steady, STEADY, Status.JUMP)
-        scene, size = None, np.nan
         for k in np.flatnonzero(steady):
-            n, both = int(rows[k]), _padded(self._robot, [path[k] for path in paths])
-            status, least = Status.OK, np.full(4, np.nan)
-            if self._scene_at is not None:
-                if scene is None or self._grasps.size[n] != size:
-                    size = self._grasps.size[n]
-                    scene = self._scene_at(float(size))
-                asked = gap[k] < config.clearance.asked
-                asked[_key_knots(config)] = True
-                status, least = final_word(scene, self._grasps, n, both, asked, config)
-                if status != Status.OK:
-                    self._tries[n] += config.search.pairs // config.search.words
+            looks = _joined(before.of_motion(int(k)), behind.of_motion(int(kept[k])), config)
             one = np.arange(len(rows)) == k
-            self._stop(made, rows, picks, one, SPOKEN, status)
-            if status == Status.OK:
-                _keep_path(made, self._robot, n, [path[k] for path in paths], least, config)
-                self._todo[n] = False
+            self._speak(made, rows, picks, one, [path[k] for path in paths], looks)
+
+    def _speak(
+        self,
+        made: ArmSolutions,
+        rows: np.ndarray,
+        picks: np.ndarray,
+        one: np.ndarray,
+        paths: list[np.ndarray],
+        looks: Looks,
+    ) -> None:
+        """Let MuJoCo have the last word on one try; writes to `made`."""
+        n, search = int(rows[one][0]), self._config.search
+        word = FinalWord(Status.OK, np.full(4, np.nan))
+        if self._scene_at is not None:
+            if self._scene is None or self._grasps.size[n] != self._size:
+                self._size = self._grasps.size[n]
+                self._scene = self._scene_at(float(self._size))
+            both = _padded(self._robot, paths)
+            word = final_word(self._scene, self._grasps, n, both, looks, self._config)
+        self._stop(made, rows, picks, one, SPOKEN, word.status, word.side)
+        if word.status == Status.OK:
+            _keep_path(made, self._robot, n, paths, word.least, self._config)
+            self._todo[n] = False
+        elif word.hand:  # as with any other postures of the arms
+            self.blocked[n], self._todo[n] = word.side, False
+        else:
+            self._tries[n] += search.pairs // search.words
 
     def _stop(
         self,
@@ -143,35 +159,22 @@ class Pairing:
         some: np.ndarray,
         gate: int,
         status: Status,
+        side: int = -1,
     ) -> None:
         """Let some tries end; those that came farther than any before are kept in `made`."""
         farther = some & ((gate > self._gate[rows]) | (status == Status.OK))
         self._gate[rows[farther]] = gate
-        made.arm_status[rows[farther]] = status
+        made.arm_status[rows[farther]], made.arm_failed_side[rows[farther]] = status, side
         keep_key_frames(made, self._sides, rows[farther], picks[farther], self._config)
-
-    @property
-    def _most(self) -> float:
-        """Clearance beyond which no more need be known of a motion [m]."""
-        return just_above(max(self._config.clearance.asked, self._config.clearance.margin))
 
     def _apart(self, rows: np.ndarray, paths: list[np.ndarray]) -> np.ndarray:
         """Whether the arms with their hands stay apart on ways that they go together, (R,) bool."""
         margin = self._config.clearance.margin
-        gaps = self._gaps_apart(rows, paths, just_above(margin), with_hands=True)
-        return np.asarray(gaps.min(axis=1) >= margin)
-
-    def _gaps_apart(
-        self, rows: np.ndarray, paths: list[np.ndarray], most: float, *, with_hands: bool
-    ) -> Float[np.ndarray, "R K"]:
-        """Clearance between the arms at every knot [m]."""
         left, right, of = _flat(rows, paths)
         gaps = apart_at(
-            *(self._robot.arms, left, right, (of, of), self._around),
-            with_hands=with_hands,
-            most=most,
+            *(self._robot.arms, left, right, (of, of), self._around), most=just_above(margin)
         )
-        return gaps.reshape(paths[0].shape[:2])
+        return np.asarray(gaps.reshape(paths[0].shape[:2]).min(axis=1) >= margin)
 
     def _wait(
         self, rows: np.ndarray, picks: np.ndarray, way: list[np.ndarray], apart: np.ndarray
@@ -197,22 +200,19 @@ class Pairing:
             for h, path in enumerate(paths):
                 way[h][better] = path[good]
 
-    def _smooth(
-        self, rows: np.ndarray, paths: list[np.ndarray], on_gap: Float[np.ndarray, "R L"]
-    ) -> Float[np.ndarray, "R K"]:
+    def _smooth(self, rows: np.ndarray, paths: list[np.ndarray]) -> Looks:
         """Smooth the ways from home where that leaves them clear; writes to `paths`.
 
         Args:
             rows: The grasp that each motion is of.
             paths: Both arms' motions.
-            on_gap: Clearance between the arms behind the approach, without hands [m].
 
         Returns:
-            Clearance by spheres at all knots [m]; behind the approach without hands.
+            What spheres see up to the pre-grasp.
         """
-        count = self._config.path.knots[0] + 1
+        margin, (approach, reach, *_rest) = self._config.clearance.margin, self._config.path.knots
         pinned = np.ones(paths[0].shape[1], bool)
-        pinned[1 : count - 1] = False
+        pinned[1:approach] = False
         smooth = []
         for arm, path in zip(self._robot.arms, paths, strict=True):
             smoother = _smoother(len(pinned), arm.chain.joints)
@@ -220,23 +220,28 @@ class Pairing:
             smooth.append(
                 smoother.smooth(path, pinned, arm.chain.lower, arm.chain.upper, most).path
             )
-        gap = self._gaps(rows, [path[:, :count] for path in smooth])
-        rough = gap.min(axis=1) < self._config.clearance.margin
+        ahead = slice(approach + reach + 1)
+        seen = self._look(rows, [path[:, ahead] for path in smooth])
+        rough = seen.least(len(rows), approach) < margin
         for path, better in zip(paths, smooth, strict=True):
             path[~rough] = better[~rough]
-        if rough.any():
-            gap[rough] = self._gaps(rows[rough], [path[rough, :count] for path in paths])
-        *flat, of = _flat(rows, [path[:, count:] for path in paths])
-        for arm, q in zip(self._robot.arms, flat, strict=True):
-            alone = clear_at(arm, q, of, self._around, with_hand=False, most=self._most)
-            on_gap = np.minimum(on_gap, alone.min(axis=0).reshape(on_gap.shape))
-        return np.concatenate([gap, on_gap], axis=1)
+        if not rough.any():
+            return seen
+        again = self._look(rows[rough], [path[rough, ahead] for path in paths])
+        again = again._replace(of=np.flatnonzero(rough)[again.of])
+        return seen.select(~rough[seen.of]).joined(again)
 
-    def _gaps(self, rows: np.ndarray, paths: list[np.ndarray]) -> Float[np.ndarray, "R K"]:
-        """Clearance of both arms with their hands at every knot, by spheres, as far as it matters [m]."""
-        left, right, of = _flat(rows, paths)
-        gap = clear_together(self._robot.arms, left, right, of, self._around, most=self._most)
-        return gap.reshape(paths[0].shape[:2])
+    def _look(self, rows: np.ndarray, paths: list[np.ndarray]) -> Looks:
+        return look(self._robot, rows, paths, self._around, self._config)
+
+
+def _joined(before: Looks, behind: Looks, config: ArmConfig) -> Looks:
+    """What spheres see of one motion: with hands up to the pre-grasp, behind it without."""
+    approach, reach, *_rest = config.path.knots
+    behind = behind._replace(at=behind.at + approach + 1)
+    pregrasp = approach + reach
+    way = np.concatenate([before.way[:-1], behind.way[behind.at == pregrasp]])
+    return before._replace(way=way).joined(behind.select(behind.at > pregrasp))
 
 
 def _flat(
@@ -260,12 +265,6 @@ def keep_key_frames(
         q = side.q[rows, picks[:, h]][:, frames]
         made.arm_joints[rows[:, None], h, np.arange(1, 6), : q.shape[2]] = q
         made.manipulability[rows, h] = side.manipulability[rows, picks[:, h]]
-
-
-def _key_knots(config: ArmConfig) -> np.ndarray:
-    """Knots about which MuJoCo is always asked: key frames, and the last before the pre-grasp."""
-    ends = np.cumsum(config.path.knots)
-    return np.append(ends, ends[1] - 1)
 
 
 @lru_cache(maxsize=8)

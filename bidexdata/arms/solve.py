@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from jaxtyping import Int
 
 from bidexdata.arms.arm_scene import ArmScene, SizedArmScenes
 from bidexdata.arms.candidates import (
@@ -106,21 +107,51 @@ def _solve(
     if not len(rows):
         return every
     grasps = grasps.select(rows)
+    refused = np.zeros((len(rows), 2), np.int64)
+    made, blocked = _attempt(robot, field, scene_at, grasps, refused, config, device)
+    again = np.flatnonzero(blocked >= 0)
+    others = config.search.standoffs - 1
+    if len(again) and others:
+        # The next stand-offs together: the work for a few grasps is that for one.
+        more = np.repeat(again, others)
+        refused = refused[more]
+        refused[np.arange(len(more)), blocked[more]] = np.tile(np.arange(1, others + 1), len(again))
+        one, _ = _attempt(robot, field, scene_at, grasps.select(more), refused, config, device)
+        good = one.ok.reshape(len(again), others)
+        some = np.flatnonzero(good.any(axis=1))
+        taken = some * others + good[some].argmax(axis=1)
+        # What came less far than MuJoCo's word does not take its place.
+        for whole, part in zip(made, one, strict=True):
+            whole[again[some]] = part[taken]
+    for whole, part in zip(every, made, strict=True):
+        whole[rows] = part
+    return every
+
+
+def _attempt(
+    robot: Robot,
+    field: SignedDistanceGrid | None,
+    scene_at: Callable[[float], ArmScene] | None,
+    grasps: Grasps,
+    refused: Int[np.ndarray, "N 2"],
+    config: ArmConfig,
+    device: str,
+) -> tuple[ArmSolutions, Int[np.ndarray, " N"]]:
+    """Solve grasps by one stand-off of each hand; say too whose open hand was blocked behind it."""
     around = surroundings(robot, field, grasps, device=device)
     along = object_along(field, grasps, config, device=device)
-    way = (ways(robot, 0, around, grasps, config), ways(robot, 1, around, grasps, config))
+    way = tuple(ways(robot, h, around, grasps, config, refused[:, h]) for h in range(2))
     left, right = (
         find_candidates(arm, way[h], along, config, device=device)
         for h, arm in enumerate(robot.arms)
     )
-    made = no_solutions(robot, config, len(rows), Status.OK)
+    made = no_solutions(robot, config, len(grasps.size), Status.OK)
     made.arm_starts[:] = config.ik.starts + config.search.near_rest
     _refuse(made, (left, right), config)
-    Pairing(robot, scene_at, grasps, (left, right), around, config).solve(made)
+    pairing = Pairing(robot, scene_at, grasps, (left, right), around, config)
+    pairing.solve(made)
     _measure(made, robot, way, config)
-    for whole, part in zip(every, made, strict=True):
-        whole[rows] = part
-    return every
+    return made, pairing.blocked
 
 
 def surroundings(
@@ -167,7 +198,7 @@ def _refuse(made: ArmSolutions, sides: tuple[Candidates, Candidates], config: Ar
     keep_key_frames(made, sides, rows, best[rows], config)
 
 
-def _measure(made: ArmSolutions, robot: Robot, way: tuple[Ways, Ways], config: ArmConfig) -> None:
+def _measure(made: ArmSolutions, robot: Robot, way: Sequence[Ways], config: ArmConfig) -> None:
     """Compare the hands at the stored angles with where the grasps have them; writes to `made`."""
     frames = np.cumsum([0, *config.path.knots[1:]])
     for h, arm in enumerate(robot.arms):

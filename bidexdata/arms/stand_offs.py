@@ -7,6 +7,7 @@ so that hands go back towards their wrists too, or up, whichever leaves most roo
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Int
 
 from bidexdata.arms.clearance import room_of_ways
 from bidexdata.arms.config import ArmConfig
@@ -31,6 +32,7 @@ def stand_offs(
     pregrasp: Poses,
     around: Surroundings,
     config: ArmConfig,
+    refused: Int[np.ndarray, " N"],
 ) -> Poses:
     """Give the stand-off of one hand of each grasp.
 
@@ -40,6 +42,7 @@ def stand_offs(
         pregrasp: Where it is before it closes.
         around: The object, and the hands as they are then.
         config: How far back, and how high.
+        refused: How many of each grasp's, the best first, are passed over.
     """
     rule = config.path
     held = around.held[side]
@@ -62,7 +65,9 @@ def stand_offs(
 
     best = np.zeros(len(back), np.intp)
     first = room_of(rows, slice(0, 1))
-    short = np.flatnonzero(first[:, 0] < _ENOUGH)
-    others = room_of(short, slice(1, None))
-    best[short] = np.concatenate([first[short], others], axis=1).argmax(axis=1)
+    short = np.flatnonzero((first[:, 0] < _ENOUGH) | (refused > 0))
+    room = np.concatenate([first[short], room_of(short, slice(1, None))], axis=1)
+    room[first[short, 0] >= _ENOUGH, 0] = np.inf
+    order = np.argsort(-room, axis=1, kind="stable")
+    best[short] = np.take_along_axis(order, refused[short, None], axis=1)[:, 0]
     return Poses(back[rows, best], pregrasp.quat_wxyz)

@@ -242,17 +242,41 @@ def test_a_lower_table_is_farther_by_as_much(made, rng, device):
     )
 
 
+@pytest.mark.parametrize("hands", [True, False])
 @pytest.mark.parametrize("count", [0, 1, 7])
-def test_two_arms_together_have_the_least_clearance_of_each_and_of_both(robot, rng, count):
+def test_two_arms_together_have_the_least_clearance_of_each_and_of_both(robot, rng, count, hands):
     """Whatever the cap, bit for bit: the spheres are the same."""
     held = tuple(held_hands(hand, rng, 3) for hand in robot.hands)
     around = Surroundings(placed(rng, 3), held, rows=3)
     left, right = (configurations(arm, rng, (count,)) for arm in robot.arms)
     rows = rng.integers(0, 3, count)
     for most in (FAR, 0.03):
-        found = clear_together(robot.arms, left, right, rows, around, most=most)
-        expected = apart_at(robot.arms, left, right, (rows, rows), around, most=most)
-        for side, (arm, q) in enumerate(zip(robot.arms, (left, right), strict=True)):
-            alone = clear_at(arm, q, rows, around, side, most=most)
-            expected = np.minimum(expected, alone.min(axis=0))
-        np.testing.assert_array_equal(found, expected)
+        found = clear_together(
+            robot.arms, left, right, rows, around, with_hands=hands, most=(most, 0.5 * most)
+        )
+        apart = apart_at(
+            robot.arms, left, right, (rows, rows), around, with_hands=hands, most=most
+        )
+        np.testing.assert_array_equal(found.apart, apart)
+        alone = [
+            clear_at(arm, q, rows, around, side, with_hand=hands, most=0.5 * most).min(axis=0)
+            for side, (arm, q) in enumerate(zip(robot.arms, (left, right), strict=True))
+        ]
+        np.testing.assert_array_equal(found.alone, np.min(alone, axis=0))
+
+
+def test_no_sphere_goes_farther_than_the_way_and_one_goes_as_far(robot, rng):
+    held = tuple(held_hands(hand, rng, 1) for hand in robot.hands)
+    around = Surroundings(None, held, rows=1)
+    left, right = (configurations(arm, rng, (5,)) for arm in robot.arms)
+    rows = np.zeros(5, np.int64)
+    found = clear_together(robot.arms, left, right, rows, around).way
+    for side, (arm, q) in enumerate(zip(robot.arms, (left, right), strict=True)):
+        one = HeldHands(np.repeat(held[side].pos, 5, axis=0), held[side].radius)
+        centre = np.concatenate(
+            [place_spheres(arm.chain, arm.spheres, q), held_spheres(arm, q[:, None], one)[:, 0]], 1
+        )
+        ways = np.linalg.norm(np.diff(centre, axis=0), axis=2).max(axis=1)
+        # The balls round groups of spheres go with them.
+        assert np.all(found[side] >= ways - SINGLE)
+        assert np.all(found[side] <= 1.05 * ways + SINGLE)
