@@ -257,9 +257,7 @@ def least_distances(
     return least[:4]
 
 
-def nearest_side(
-    arms: ArmScene, place: int, *, hands_touch: bool
-) -> tuple[int, bool]:
+def nearest_side(arms: ArmScene, place: int, *, hands_touch: bool) -> tuple[int, bool]:
     """Say whose the nearest contact of one kind is in the state that `arm_distances` left last.
 
     Args:

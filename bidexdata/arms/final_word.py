@@ -15,6 +15,7 @@ from bidexdata.arms.arm_scene import ArmScene, set_arms
 from bidexdata.arms.arm_spheres import TOLERANCE
 from bidexdata.arms.config import ArmConfig
 from bidexdata.arms.contacts import arm_distances, nearest_side
+from bidexdata.arms.fingers import fingers_at
 from bidexdata.arms.looks import Looks
 from bidexdata.arms.solutions import Grasps
 from bidexdata.record.status import Status
@@ -51,8 +52,8 @@ class _Posed(NamedTuple):
 
     scene: ArmScene
     path: Float[np.ndarray, "2 W A"]
-    joints: Float[np.ndarray, "2 2 J"]
-    """Of the hands at pre-grasp and grasp, first axis."""
+    joints: Float[np.ndarray, "2 3 J"]
+    """Of the hands at their stages [rad]."""
     config: ArmConfig
 
     def distances(self, at: Float[np.ndarray, " M"], *, touch: bool) -> Float[np.ndarray, "M 4"]:
@@ -62,8 +63,8 @@ class _Posed(NamedTuple):
         k = np.minimum(at.astype(int), self.path.shape[1] - 2)
         t = (at - k)[:, None, None]
         arms = (1 - t) * self.path[:, k].swapaxes(0, 1) + t * self.path[:, k + 1].swapaxes(0, 1)
-        share = np.clip((at - pregrasp) / close, 0.0, 1.0)[:, None, None]
-        fingers = self.joints[0] + share * (self.joints[1] - self.joints[0])
+        knots = np.cumsum([0, *self.config.path.knots])
+        fingers = fingers_at(self.joints, np.interp(at, knots, np.arange(len(knots))), "grasp")
         rise = np.maximum(at - pregrasp - close - squeeze, 0) / lift * self.config.path.lift
         found = arm_distances(
             *(self.scene, arms, fingers),
@@ -97,8 +98,8 @@ def final_word(
         config: How deep things may be.
     """
     approach, reach, *_rest = config.path.knots
-    pregrasp, joints = approach + reach, grasps.joints[row, :, :2].swapaxes(0, 1)
-    set_arms(scene, grasps.object_pos[row], grasps.object_quat_wxyz[row], path[:, 0], joints[0])
+    pregrasp, joints = approach + reach, grasps.joints[row]
+    set_arms(scene, grasps.object_pos[row], grasps.object_quat_wxyz[row], path[:, 0], joints[:, 0])
     posed = _Posed(scene, path, joints, config)
     asked = looks.open(config.clearance.asked)
     asked[np.isin(looks.at, np.cumsum(config.path.knots))] = True

@@ -124,6 +124,4 @@ def _seen(
     rule = config.clearance
     asked = just_above(max(rule.asked, rule.margin))
     most = (asked + rule.spacing, asked + 0.5 * rule.spacing)
-    return clear_together(
-        *(robot.arms, q[0], q[1], rows, around), with_hands=with_hands, most=most
-    )
+    return clear_together(*(robot.arms, q[0], q[1], rows, around), with_hands=with_hands, most=most)

@@ -254,9 +254,7 @@ def test_two_arms_together_have_the_least_clearance_of_each_and_of_both(robot, r
         found = clear_together(
             robot.arms, left, right, rows, around, with_hands=hands, most=(most, 0.5 * most)
         )
-        apart = apart_at(
-            robot.arms, left, right, (rows, rows), around, with_hands=hands, most=most
-        )
+        apart = apart_at(robot.arms, left, right, (rows, rows), around, with_hands=hands, most=most)
         np.testing.assert_array_equal(found.apart, apart)
         alone = [
             clear_at(arm, q, rows, around, side, with_hand=hands, most=0.5 * most).min(axis=0)

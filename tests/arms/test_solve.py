@@ -7,12 +7,13 @@ from math import radians
 
 import numpy as np
 import pytest
+from palms import targets
 
 from bidexdata.arms import ArmConfig, Targets
 from bidexdata.arms.candidates import ways
 from bidexdata.arms.chain import chain_forward
 from bidexdata.arms.config import PathConfig, SearchConfig
-from bidexdata.arms.generic_pairs import draw_pairs, shape_grid
+from bidexdata.arms.generic_pairs import shape_grid
 from bidexdata.arms.inverse_kinematics import LEAST_ERROR, IkConfig
 from bidexdata.arms.solutions import ArmSolutions, join_targets
 from bidexdata.arms.solve import solve_arms, solve_scenes, surroundings
@@ -23,27 +24,6 @@ from bidexdata.record.status import Status
 CONFIG = ArmConfig(path=PathConfig(knots=(24, 4, 4, 2, 4)), search=SearchConfig(nodes=32))
 POS, ROT, STEP = 1e-3, radians(0.5), 0.2  # what the issue asks for
 MIRRORED = 5e-3  # joints that are redundant drift in float32
-
-
-def targets(robot, size: float = 0.3, count: int = 8, seed: int = 1) -> list[Targets]:
-    """Palms round generic shapes on the table, one scene each; hands open, a centimetre outside."""
-    pairs = draw_pairs(size, count, np.random.default_rng(seed))
-    widest = max(len(hand.joint_names) for hand in robot.hands)
-    made = []
-    for n in range(count):
-        pos, quat = np.zeros((1, 2, 3, 3)), np.zeros((1, 2, 3, 4))
-        for h, hand in enumerate(robot.hands):
-            T = invert(hand.T_hand_palm)
-            R = pairs.palm_rot[n, h] @ T[:3, :3]
-            at = pairs.palm_pos[n, h] + pairs.palm_rot[n, h] @ T[:3, 3]
-            back = -0.01 * pairs.palm_rot[n, h][:, 2]
-            pos[0, h] = [at + 2 * back, at + back, at]
-            quat[0, h] = quat_from_matrix(R)
-        object_quat = quat_from_matrix(pairs.object_rot[n])
-        made.append(
-            Targets(pairs.object_pos[n], object_quat, size, pos, quat, np.zeros((1, 2, 3, widest)))
-        )
-    return made
 
 
 def solved(robot, scenes: list[Targets], config: ArmConfig = CONFIG) -> ArmSolutions:
