@@ -285,22 +285,27 @@ def _follow(
     part.room[alive] = np.minimum(least, config.clearance.enough)[alive]
     free = alive & (least >= config.clearance.margin)
     part.gate[free], part.status[free] = FREE, Status.OK
-    off = config.search.straight * hand_detour(arm, part.q[free][:, 0])
+    goal = np.broadcast_to(pos[:, None, 0], (*free.shape, 3))[free]
+    off = config.search.straight * hand_detour(arm, part.q[free][:, 0], goal)
     part.cost[free] = (away - _ROOM_COUNTS * part.room)[free] + off
 
 
-def hand_detour(arm: Arm, goal: Float[np.ndarray, "M A"]) -> Float[np.ndarray, " M"]:
-    """How far a hand leaves the straight line home-goal where its joints move in straight lines [m].
+def hand_detour(
+    arm: Arm, q: Float[np.ndarray, "M A"], goal: Float[np.ndarray, "M 3"]
+) -> Float[np.ndarray, " M"]:
+    """How far a hand leaves the straight line from home where its joints move in straight lines [m].
 
     The larger distance from that line of where the hand is after a third and two thirds of the way.
 
     Args:
         arm: The arm.
-        goal: Postures that it moves to from rest [rad].
+        q: Postures that it moves to from rest [rad].
+        goal: Where they have the hand [m].
     """
-    share = np.array([0.0, 1 / 3, 2 / 3, 1.0])[:, None, None]
-    pos, _rot = chain_forward(arm.chain, (1 - share) * arm.chain.rest + share * goal)
-    line, between = pos[3] - pos[0], pos[1:3] - pos[0]
+    home = chain_forward(arm.chain, arm.chain.rest)[0]
+    share = np.array([1 / 3, 2 / 3])[:, None, None]
+    line = goal - home
+    between = chain_forward(arm.chain, (1 - share) * arm.chain.rest + share * q)[0] - home
     square = np.maximum((line**2).sum(axis=-1), 1e-12)
     along = np.clip((between * line).sum(axis=-1) / square, 0.0, 1.0)
     return np.linalg.norm(between - along[..., None] * line, axis=-1).max(axis=0, initial=0.0)

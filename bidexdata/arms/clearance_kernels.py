@@ -20,8 +20,8 @@ FAR = wp.constant(1.0e3)
 class SphereArrays:
     """The spheres of one arm on a device; shapes and units as in `ArmSpheres`.
 
-    The ball of group g is number K + g among the centres, behind those of the spheres; that of the
-    hand, if there is one, is the last.
+    The ball of group g is number K + g among the centres, behind those of the spheres; the hand's
+    spheres follow, and the balls round their groups.
     """
 
     joint: wp.array(dtype=int)
@@ -47,12 +47,14 @@ class SphereArrays:
 
 @wp.struct
 class HandArrays:
-    """Spheres of a hand at N postures, and the balls round them; hand frame."""
+    """Spheres of a hand at N postures, and the balls round groups of them, (N, B); hand frame."""
 
     pos: wp.array2d(dtype=wp.vec3)
     radius: wp.array(dtype=float)
-    ball_pos: wp.array(dtype=wp.vec3)
-    ball_radius: wp.array(dtype=float)
+    group_first: wp.array(dtype=int)
+    """First sphere of each group, and the number of spheres, (B + 1)."""
+    ball_pos: wp.array2d(dtype=wp.vec3)
+    ball_radius: wp.array2d(dtype=float)
 
 
 @wp.struct
@@ -111,7 +113,8 @@ def place_arm_spheres(
         first = count + groups
         for i in range(held):
             centre_out[m, first + i] = at + turn * hand.pos[n, i]
-        centre_out[m, first + held] = at + turn * hand.ball_pos[n]
+        for b in range(hand.ball_radius.shape[1]):
+            centre_out[m, first + held + b] = at + turn * hand.ball_pos[n, b]
 
 
 @wp.func
@@ -147,22 +150,21 @@ def object_bound(around: ObjectArrays, n: int, p: wp.vec3, r: float) -> float:
 
 
 @wp.func
-def part_first(spheres: SphereArrays, g: int) -> int:
-    """First centre of group g; the group behind the last is the hand."""
+def part_first(spheres: SphereArrays, hand: HandArrays, g: int) -> int:
+    """First centre of group g; the groups behind the arm's are the hand's."""
     groups = spheres.group_joint.shape[0]
-    first = spheres.radius.shape[0] + groups
     if g < groups:
-        first = spheres.group_first[g]
-    return first
+        return spheres.group_first[g]
+    return spheres.radius.shape[0] + groups + hand.group_first[g - groups]
 
 
 @wp.func
 def part_count(spheres: SphereArrays, hand: HandArrays, g: int) -> int:
-    """Spheres of group g, or of the hand."""
-    count = hand.radius.shape[0]
-    if g < spheres.group_joint.shape[0]:
-        count = spheres.group_first[g + 1] - spheres.group_first[g]
-    return count
+    """Spheres of group g."""
+    groups = spheres.group_joint.shape[0]
+    if g < groups:
+        return spheres.group_first[g + 1] - spheres.group_first[g]
+    return hand.group_first[g - groups + 1] - hand.group_first[g - groups]
 
 
 @wp.func
@@ -174,16 +176,15 @@ def part_ball(
     n: int,
     g: int,
 ):
-    """Ball round group g, or round the hand."""
-    count = spheres.radius.shape[0]
+    """Ball round group g."""
+    at = spheres.radius.shape[0] + g
     groups = spheres.group_joint.shape[0]
-    at = count + groups + hand.radius.shape[0]
     wide = float(0.0)
     if g < groups:
-        at = count + g
         wide = spheres.group_radius[g]
     else:
-        wide = hand.ball_radius[n]
+        at = at + hand.radius.shape[0]
+        wide = hand.ball_radius[n, g - groups]
     return centre_in[m, at], wide
 
 
@@ -198,11 +199,8 @@ def part_radius(spheres: SphereArrays, hand: HandArrays, k: int) -> float:
 
 @wp.func
 def part_total(spheres: SphereArrays, hand: HandArrays) -> int:
-    """Groups of the arm, and the hand if there is one."""
-    parts = spheres.group_joint.shape[0]
-    if hand.radius.shape[0] > 0:
-        parts = parts + 1
-    return parts
+    """Groups of the arm, and of the hand if there is one."""
+    return spheres.group_joint.shape[0] + hand.ball_radius.shape[1]
 
 
 @wp.func
@@ -216,20 +214,20 @@ def self_gap(
 ) -> float:
     """Least distance between links of the arm, and from its hand to them, or `least` if smaller."""
     count = spheres.radius.shape[0]
-    held = hand.radius.shape[0]
-    if held > 0:
-        hand_first = count + spheres.group_joint.shape[0]
-        ball = centre_in[m, hand_first + held]
+    groups = spheres.group_joint.shape[0]
+    for part in range(groups, part_total(spheres, hand)):
+        ball, wide = part_ball(spheres, hand, centre_in, m, n, part)
+        first = part_first(spheres, hand, part)
         for g in range(spheres.far_groups):
             apart = wp.length(ball - centre_in[m, count + g])
-            if apart - hand.ball_radius[n] - spheres.group_radius[g] < least:
+            if apart - wide - spheres.group_radius[g] < least:
                 for k in range(spheres.group_first[g], spheres.group_first[g + 1]):
                     p = centre_in[m, k]
                     r = spheres.radius[k]
-                    if wp.length(ball - p) - hand.ball_radius[n] - r < least:
-                        for i in range(held):
-                            gap = wp.length(p - centre_in[m, hand_first + i]) - r
-                            least = wp.min(least, gap - hand.radius[i])
+                    if wp.length(ball - p) - wide - r < least:
+                        for i in range(first, first + part_count(spheres, hand, part)):
+                            gap = wp.length(p - centre_in[m, i]) - r
+                            least = wp.min(least, gap - part_radius(spheres, hand, i))
     for c in range(spheres.pair_groups.shape[0]):
         g = spheres.pair_groups[c, 0]
         h = spheres.pair_groups[c, 1]
@@ -273,7 +271,7 @@ def clear_alone(
         by_object = around.present == 1 and object_bound(around, n, ball, wide) < near
         by_fixture = fixture_gap(spheres, ball, wide) < itself
         if by_table or by_object or by_fixture:
-            first = part_first(spheres, g)
+            first = part_first(spheres, hand, g)
             for k in range(first, first + part_count(spheres, hand, g)):
                 p = centre_in[m, k]
                 r = part_radius(spheres, hand, k)
@@ -320,8 +318,8 @@ def clear_of_each_other(
             h = right_parts - 1 - behind
             x, broad = part_ball(right, right_hand, right_in, b, right_row_in[b], h)
             if wp.length(p - x) - wide - broad < least:
-                first = part_first(left, g)
-                other = part_first(right, h)
+                first = part_first(left, left_hand, g)
+                other = part_first(right, right_hand, h)
                 for i in range(part_count(left, left_hand, g)):
                     y = left_in[a, first + i]
                     r = part_radius(left, left_hand, first + i)
@@ -371,16 +369,19 @@ def room_of_hands(
     start = float(FAR)
     for step in range(checks + 1):
         at = pos_in[w] + (float(step) / float(checks)) * way_in[w, d]
-        ball = at + rot_in[w] * hand.ball_pos[n]
-        if step == 0 or object_bound(around, n, ball, hand.ball_radius[n]) < room:
-            least = float(FAR)
-            for i in range(hand.radius.shape[0]):
-                p = at + rot_in[w] * hand.pos[n, i]
-                if object_bound(around, n, p, hand.radius[i]) < least:
-                    least = wp.min(least, object_gap(field, around, n, p, hand.radius[i]))
-            if step == 0:
-                start = least
-            else:
-                room = wp.min(room, least)
+        least = float(FAR)
+        if step > 0:
+            least = room
+        for b in range(hand.ball_radius.shape[1]):
+            ball = at + rot_in[w] * hand.ball_pos[n, b]
+            if object_bound(around, n, ball, hand.ball_radius[n, b]) < least:
+                for i in range(hand.group_first[b], hand.group_first[b + 1]):
+                    p = at + rot_in[w] * hand.pos[n, i]
+                    if object_bound(around, n, p, hand.radius[i]) < least:
+                        least = wp.min(least, object_gap(field, around, n, p, hand.radius[i]))
+        if step == 0:
+            start = least
+        else:
+            room = least
     room_out[w, d] = room
     start_out[w, d] = start

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from bidexdata.arms.arm_scene import ARM, FIXTURE, ArmScene, place_joints
+from bidexdata.arms.arm_scene import ARM, FIXTURE, ArmScene
 from bidexdata.engine_log import engine_warnings_logged
 from bidexdata.simulation.assembly import hand_prefix
 from bidexdata.simulation.scene import NOBODY
@@ -119,7 +119,11 @@ def arm_distances(
     lead = arm_q.shape[:-2]
     postures = arm_q.reshape(-1, *arm_q.shape[-2:])
     fingers = np.broadcast_to(joints, (*lead, *joints.shape[-2:])).reshape(-1, *joints.shape[-2:])
-    found = np.empty((len(postures), 4))
+    fingers_at = arms.scene.joint_qpos
+    address = np.concatenate([*arms.arm_qpos, *fingers_at])
+    parts = [postures[:, i, : len(own)] for i, own in enumerate(arms.arm_qpos)]
+    parts += [fingers[:, i, : len(own)] for i, own in enumerate(fingers_at)]
+    qpos, met = np.concatenate(parts, axis=1), []
     height, up = arms.scene.object_qpos + 2, None if rise is None else rise.ravel()
     low = float(data.qpos[height])
     looked = _looked_at(arms, hands_touch=hands_touch)
@@ -129,12 +133,13 @@ def arm_distances(
         _set_masks(model, looked.masks)
         with engine_warnings_logged():
             for k in range(len(postures)):
-                place_joints(arms, postures[k], fingers[k])
+                data.qpos[address] = qpos[k]
                 if up is not None:
                     data.qpos[height] = low + up[k]
                 mujoco.mj_kinematics(model, data)
                 mujoco.mj_collision(model, data)
-                found[k] = least_distances(arms, looked.kinds, reach, looked.owner)
+                # Copies: the arrays are views of what the next posture overwrites.
+                met.append((np.array(data.contact.geom), np.array(data.contact.dist)))
     finally:
         if looked.masks is not None:
             _set_masks(model, looked.own_masks)
@@ -142,6 +147,7 @@ def arm_distances(
         model.body_margin[looked.bodies] = 0.0
         if up is not None:
             data.qpos[height] = low
+    found = _least_of_each(looked, met, reach)
     return ArmDepths(*(column.reshape(lead) for column in found.T))
 
 
@@ -209,7 +215,7 @@ def _with_carriers(arms: ArmScene, kinds: PairKinds) -> tuple[NDArray[np.int64],
     """Make owners of forearm and wrist of each hand, which meet all that their arm does but that hand."""
     model, owner, count = arms.scene.model, arms.scene.geom_owner.copy(), len(kinds.kind)
     of = np.concatenate([np.arange(count), [ARM + kinds.shift, ARM - 1 + kinds.shift]])
-    kind, may = (values[np.ix_(of, of)] for values in (kinds.kind, kinds.may))
+    kind, may = kinds.kind[np.ix_(of, of)], kinds.may[np.ix_(of, of)]
     named = [model.body(int(b)).name for b in model.geom_bodyid]
     for i in range(2):
         carries = np.array([name.startswith(hand_prefix(i)) for name in named])
@@ -231,30 +237,41 @@ def _set_masks(model: mujoco.MjModel, masks: Masks | None) -> None:
             getattr(model, name)[:] = bits
 
 
-def least_distances(
-    arms: ArmScene,
-    kinds: PairKinds,
-    reach: float = 0.0,
-    owners: NDArray[np.int64] | None = None,
-) -> Float[np.ndarray, " 4"]:
-    """Least distances [m] over the contacts that the scene's state lists, by `ArmDepths`' places.
+def _least_of_each(
+    looked: _LookedAt, met: list[tuple[np.ndarray, np.ndarray]], reach: float
+) -> Float[np.ndarray, "T 4"]:
+    """Least distances over the contacts of each of T postures [m], by `ArmDepths`' places."""
+    least = np.full((len(met), 5), reach)  # the last for pairs that do not count
+    counts = [len(dist) for _geoms, dist in met]
+    if sum(counts):
+        geoms = np.concatenate([g.reshape(-1, 2) for g, _dist in met])
+        dist = np.concatenate([d for _geoms, d in met])
+        _keep_least(
+            least, looked.kinds, looked.owner[geoms], dist, np.repeat(range(len(met)), counts)
+        )
+    return least[:, :4]
 
-    Args:
-        arms: The scene.
-        kinds: What counts.
-        reach: What is given where nothing is nearer [m].
-        owners: Of the geoms; the scene's when omitted, (G,).
-    """
-    least = np.full(5, reach)  # the last for pairs that do not count
+
+def least_distances(
+    arms: ArmScene, kinds: PairKinds, reach: float = 0.0
+) -> Float[np.ndarray, " 4"]:
+    """Least distances [m] over the contacts that the scene's state lists, by `ArmDepths`' places."""
+    least = np.full((1, 5), reach)
     contact = arms.scene.data.contact
     geoms = contact.geom
     if len(geoms):
-        dist = contact.dist
-        pairs = (arms.scene.geom_owner if owners is None else owners)[geoms] + kinds.shift
-        which = pairs[:, 0] * len(kinds.kind) + pairs[:, 1]
-        counts = dist < -kinds.may.ravel()[which]
-        np.minimum.at(least, kinds.kind.ravel()[which[counts]], dist[counts])
-    return least[:4]
+        _keep_least(least, kinds, arms.scene.geom_owner[geoms], contact.dist, 0)
+    return least[0, :4]
+
+
+def _keep_least(
+    least: np.ndarray, kinds: PairKinds, owners: np.ndarray, dist: np.ndarray, row: np.ndarray | int
+) -> None:
+    """Lower the entries of rows of `least` to the distances of their contacts."""
+    pairs = owners + kinds.shift
+    kind = kinds.kind[pairs[:, 0], pairs[:, 1]]
+    far = dist >= -kinds.may[pairs[:, 0], pairs[:, 1]]
+    np.minimum.at(least, (row, np.where(far, _NONE, kind)), dist)
 
 
 def nearest_side(arms: ArmScene, place: int, *, hands_touch: bool) -> tuple[int, bool]:

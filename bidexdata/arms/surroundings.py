@@ -17,6 +17,9 @@ from bidexdata.objects.prepared import SignedDistanceGrid
 
 ROUNDING = 1e-5
 """What the balls round groups of spheres are larger by than they need be, for float32 [m]."""
+_TOGETHER = 8
+"""Spheres of a hand that a ball is put round: those of one finger or palm as a rule, which follow each
+other [-]."""
 _NO_FIELD = SignedDistanceGrid(np.zeros((2, 2, 2), np.float32), np.zeros(3), 1.0)
 
 
@@ -76,19 +79,28 @@ def _hands_on_device(hands: HeldHands, device: str) -> Any:
 
     from bidexdata.arms.clearance_kernels import HandArrays
 
-    arrays, count = HandArrays(), len(hands.pos)
-    middle = 0.5 * (hands.pos.min(axis=1) + hands.pos.max(axis=1))
-    wide = np.max(
-        np.linalg.norm(hands.pos - middle[:, None], axis=-1) + hands.radius, axis=1, initial=0.0
-    )
-    arrays.pos = wp.array(
-        np.ascontiguousarray(hands.pos, np.float32), dtype=wp.vec3, shape=hands.pos.shape[:2],
-        device=device,
-    )  # fmt: skip
+    arrays, shape = HandArrays(), hands.pos.shape[:2]
+    first = np.arange(0, shape[1], _TOGETHER)
+    low, high = (u.reduceat(hands.pos, first, axis=1) for u in (np.minimum, np.maximum))
+    middle = 0.5 * (low + high)
+    group = np.arange(shape[1]) // _TOGETHER
+    apart = np.linalg.norm(hands.pos - middle[:, group], axis=-1) + hands.radius
+    wide = np.maximum.reduceat(apart, first, axis=1) + ROUNDING
+    arrays.pos = _vectors(hands.pos, device)
     arrays.radius = wp.array(hands.radius.astype(np.float32), dtype=float, device=device)
-    arrays.ball_pos = vectors_on_device(middle, device, count)
-    arrays.ball_radius = wp.array((wide + ROUNDING).astype(np.float32), dtype=float, device=device)
+    ends = np.append(first, shape[1]).astype(np.int32)
+    arrays.group_first = wp.array(ends, dtype=int, device=device)
+    arrays.ball_pos = _vectors(middle, device)
+    balls = np.ascontiguousarray(wide, np.float32)
+    arrays.ball_radius = wp.array(balls, dtype=float, shape=balls.shape, device=device)
     return arrays
+
+
+def _vectors(values: Float[np.ndarray, "N K 3"], device: str) -> Any:
+    import warp as wp
+
+    single = np.ascontiguousarray(values, np.float32)
+    return wp.array(single, dtype=wp.vec3, shape=values.shape[:2], device=device)
 
 
 @lru_cache(maxsize=4)
@@ -101,8 +113,9 @@ def nothing_held(device: str) -> Any:
     arrays = HandArrays()
     arrays.pos = wp.zeros((0, 0), dtype=wp.vec3, device=device)
     arrays.radius = wp.empty(0, dtype=float, device=device)
-    arrays.ball_pos = wp.zeros(0, dtype=wp.vec3, device=device)
-    arrays.ball_radius = wp.empty(0, dtype=float, device=device)
+    arrays.group_first = wp.zeros(1, dtype=int, device=device)
+    arrays.ball_pos = wp.zeros((0, 0), dtype=wp.vec3, device=device)
+    arrays.ball_radius = wp.empty((0, 0), dtype=float, device=device)
     return arrays
 
 
