@@ -64,7 +64,7 @@ def solutions(made, scenes) -> list[ArmSolutions]:
 
 def test_more_than_one_pair_of_postures_is_tried(made, scenes, solutions):
     # Palms so close that the best postures of the two arms meet, and others do not.
-    close = targets(made, size=0.2, count=24, seed=7)
+    close = targets(made, size=0.2, count=40, seed=7)
     more = [*solutions, *solve_scenes(made, None, None, close, searched())]
     one = solve_scenes(made, None, None, [*scenes, *close], searched(pairs=1))
     lost = [label(first) for first, all_ in zip(one, more, strict=True) if all_.ok[0] > first.ok[0]]
