@@ -38,7 +38,9 @@ APPROACH = CONFIG.path.knots[0] + 1
 
 
 def searched(**changes) -> ArmConfig:
-    return replace(CONFIG, search=replace(CONFIG.search, **{"nodes": 0, **changes}))
+    return replace(
+        CONFIG, search=replace(CONFIG.search, **{"nodes": 0, "straight": 0.0, **changes})
+    )
 
 
 def label(motions: ArmSolutions) -> str:
@@ -194,7 +196,8 @@ def test_mujoco_sees_what_spheres_do_not(made, scenes, solutions):
     assert label(solve_arms(made, None, scene, one, searched(pairs=1))) == "collision_object"
 
 
-def candidates(robot: Robot, one: Targets, field, config=CONFIG, side: int = 0):
+def candidates(robot: Robot, one: Targets, field, config=None, side: int = 0):
+    config = config or searched()
     grasps = join_targets([one])
     around = surroundings(robot, field, grasps)
     way = ways(robot, side, around, grasps, config)
@@ -257,7 +260,7 @@ def test_a_hand_goes_back_beside_a_rim_behind_it(made, rim):
     grasps = join_targets([one])
     around = surroundings(made, shape_grid(CUBE), grasps)
     before = Poses(at[None, :3, 3], quat_from_matrix(at[None, :3, :3]))
-    back = stand_offs(hand, 0, before, around, grasps, CONFIG).pos[0] - at[:3, 3]
+    back = stand_offs(hand, 0, before, around, CONFIG, np.zeros(1, np.int64)).pos[0] - at[:3, 3]
     assert np.linalg.norm(back) == pytest.approx(CONFIG.path.standoff)
     along = back @ -T[:3, 2] / CONFIG.path.standoff
     assert (along > 0.99) == (not rim)
