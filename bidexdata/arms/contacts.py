@@ -260,12 +260,14 @@ def least_distances(
     contact = arms.scene.data.contact
     geoms = contact.geom
     if len(geoms):
-        _keep_least(least, kinds, arms.scene.geom_owner[geoms], contact.dist, 0)
+        _keep_least(
+            least, kinds, arms.scene.geom_owner[geoms], contact.dist, np.zeros(len(geoms), np.intp)
+        )
     return least[0, :4]
 
 
 def _keep_least(
-    least: np.ndarray, kinds: PairKinds, owners: np.ndarray, dist: np.ndarray, row: np.ndarray | int
+    least: np.ndarray, kinds: PairKinds, owners: np.ndarray, dist: np.ndarray, row: np.ndarray
 ) -> None:
     """Lower the entries of rows of `least` to the distances of their contacts."""
     pairs = owners + kinds.shift
