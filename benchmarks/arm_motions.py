@@ -45,7 +45,7 @@ STEPS = {
         (pairing, "look"),
     ],
     "smoothing": [(pairing.Smoother, "smooth")],
-    "MuJoCo": [(pairing, "final_word")],
+    "MuJoCo": [(pairing, "final_words")],
     "pairs": [(pairing.Pairing, "solve"), (pairing.Pairing, "__init__")],
     "errors": [(solve, "_measure")],
     "scenes": [(SizedArmScenes, "at")],

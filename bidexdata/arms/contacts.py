@@ -9,6 +9,7 @@ the limits of its joints, and as near as a millimetre in every posture.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -113,42 +114,68 @@ def arm_distances(
         reach: Pairs farther apart than this are not looked for [m].
         hands_touch: As for `pair_kinds`.
     """
-    import mujoco
-
-    model, data = arms.scene.model, arms.scene.data
     lead = arm_q.shape[:-2]
     postures = arm_q.reshape(-1, *arm_q.shape[-2:])
     fingers = np.broadcast_to(joints, (*lead, *joints.shape[-2:])).reshape(-1, *joints.shape[-2:])
-    fingers_at = arms.scene.joint_qpos
-    address = np.concatenate([*arms.arm_qpos, *fingers_at])
-    parts = [postures[:, i, : len(own)] for i, own in enumerate(arms.arm_qpos)]
-    parts += [fingers[:, i, : len(own)] for i, own in enumerate(fingers_at)]
-    qpos, met = np.concatenate(parts, axis=1), []
-    height, up = arms.scene.object_qpos + 2, None if rise is None else rise.ravel()
-    low = float(data.qpos[height])
-    looked = _looked_at(arms, hands_touch=hands_touch)
+    qpos = qpos_of(arms, postures, fingers)
+    if rise is not None:
+        qpos[:, arms.scene.object_qpos + 2] += rise.ravel()
+    found = distances_at(arms, qpos, reach=reach, hands_touch=hands_touch)
+    return ArmDepths(*(column.reshape(lead) for column in found.T))
+
+
+def qpos_of(
+    arms: ArmScene, arm_q: Float[np.ndarray, "T 2 A"], joints: Float[np.ndarray, "T 2 J"]
+) -> Float[np.ndarray, "T Q"]:
+    """Positions of everything, with arms and fingers at T postures [rad], the rest as it is."""
+    qpos = np.repeat(arms.scene.data.qpos[None], len(arm_q), axis=0)
+    for i, (arm, fingers) in enumerate(zip(arms.arm_qpos, arms.scene.joint_qpos, strict=True)):
+        qpos[:, arm], qpos[:, fingers] = arm_q[:, i, : len(arm)], joints[:, i, : len(fingers)]
+    return qpos
+
+
+def distances_at(
+    arms: ArmScene,
+    qpos: Float[np.ndarray, "T Q"],
+    *,
+    reach: float,
+    hands_touch: bool,
+    before: Callable[[int], object] | None = None,
+) -> Float[np.ndarray, "T 4"]:
+    """Measure T states of a scene, by `ArmDepths`' places [m]; its positions are put back.
+
+    Args:
+        arms: The scene.
+        qpos: Positions of everything in it.
+        reach: Pairs farther apart than this are not looked for [m].
+        hands_touch: As for `pair_kinds`.
+        before: Called with the number of each state before it is measured, to resize the object.
+    """
+    import mujoco
+
+    model, data = arms.scene.model, arms.scene.data
+    looked, met = _looked_at(arms, hands_touch=hands_touch), []
+    at_first = data.qpos.copy()
     model.geom_gap[:] = 0.5 * reach  # MuJoCo adds those of a pair
     model.body_margin[looked.bodies] = reach  # what the broad phase reads
     try:
         _set_masks(model, looked.masks)
         with engine_warnings_logged():
-            for k in range(len(postures)):
-                data.qpos[address] = qpos[k]
-                if up is not None:
-                    data.qpos[height] = low + up[k]
+            for k, state in enumerate(qpos):
+                if before is not None:
+                    before(k)
+                data.qpos[:] = state
                 mujoco.mj_kinematics(model, data)
                 mujoco.mj_collision(model, data)
-                # Copies: the arrays are views of what the next posture overwrites.
-                met.append((np.array(data.contact.geom), np.array(data.contact.dist)))
+                # Copies: the arrays are views of what the next state overwrites.
+                met.append((data.contact.geom.copy(), data.contact.dist.copy()))
     finally:
         if looked.masks is not None:
             _set_masks(model, looked.own_masks)
         model.geom_gap[:] = 0.0
         model.body_margin[looked.bodies] = 0.0
-        if up is not None:
-            data.qpos[height] = low
-    found = _least_of_each(looked, met, reach)
-    return ArmDepths(*(column.reshape(lead) for column in found.T))
+        data.qpos[:] = at_first
+    return _least_of_each(looked, met, reach)
 
 
 class Masks(NamedTuple):
@@ -277,7 +304,7 @@ def _keep_least(
 
 
 def nearest_side(arms: ArmScene, place: int, *, hands_touch: bool) -> tuple[int, bool]:
-    """Say whose the nearest contact of one kind is in the state that `arm_distances` left last.
+    """Say whose the nearest contact of one kind is in the state that `distances_at` left last.
 
     Args:
         arms: The scene.

@@ -1,4 +1,4 @@
-"""MuJoCo's word on the motion of two arms: its depths wherever something may be near.
+"""MuJoCo's word on motions of two arms: its depths wherever something may be near.
 
 Between two places of a motion nothing comes nearer than half of what is missing there to the way from
 one to the other; where that does not rule out an overlap, the middle is looked at too.
@@ -6,15 +6,16 @@ one to the other; where that does not rule out an overlap, the middle is looked 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from bidexdata.arms.arm_scene import ArmScene, set_arms
+from bidexdata.arms.arm_scene import ArmScene
 from bidexdata.arms.arm_spheres import TOLERANCE
 from bidexdata.arms.config import ArmConfig
-from bidexdata.arms.contacts import arm_distances, nearest_side
+from bidexdata.arms.contacts import distances_at, nearest_side, qpos_of
 from bidexdata.arms.fingers import fingers_at
 from bidexdata.arms.looks import Looks
 from bidexdata.arms.solutions import Grasps
@@ -34,128 +35,148 @@ _STATUS = (
 """What the fields of `ArmDepths` are called where they are too deep."""
 
 
-class FinalWord(NamedTuple):
-    """Of one motion."""
+class FinalWords(NamedTuple):
+    """Of R motions."""
 
-    status: Status
+    status: Int[np.ndarray, " R"]
     """OK, or what is too deep first."""
-    least: Float[np.ndarray, " 4"]
+    least: Float[np.ndarray, "R 4"]
     """Least signed distances to table, object, the other arm and itself, at most the reach [m]."""
-    side: int = -1
+    side: Int[np.ndarray, " R"]
     """Whose arm or hand it is that is too deep; -1: nobody's, or of both."""
-    hand: bool = False
+    hand: Bool[np.ndarray, " R"]
     """It is an open hand between stand-off and pre-grasp, which goes there with any posture of its arm."""
+
+    @classmethod
+    def none(cls, count: int) -> FinalWords:
+        """Nothing is known, and nothing too deep."""
+        status, least = np.full(count, int(Status.OK)), np.full((count, 4), np.nan)
+        return cls(status, least, np.full(count, -1), np.zeros(count, bool))
 
 
 class _Posed(NamedTuple):
-    """A motion of one grasp: what stands where at a place among the knots."""
+    """Motions of grasps of one object: what stands where at a place among the knots."""
 
-    scene: ArmScene
-    path: Float[np.ndarray, "2 W A"]
-    joints: Float[np.ndarray, "2 3 J"]
-    """Of the hands at their stages [rad]."""
+    scene_at: Callable[[float], ArmScene]
+    grasps: Grasps
+    path: Float[np.ndarray, "R 2 W A"]
     config: ArmConfig
 
-    def distances(self, at: Float[np.ndarray, " M"], *, touch: bool) -> Float[np.ndarray, "M 4"]:
-        """Least distances at some places [m]."""
-        approach, reach, close, squeeze, lift = self.config.path.knots
-        pregrasp = approach + reach
-        k = np.minimum(at.astype(int), self.path.shape[1] - 2)
+    def distances(
+        self, of: Int[np.ndarray, " M"], at: Float[np.ndarray, " M"], *, touch: bool
+    ) -> Float[np.ndarray, "M 4"]:
+        """Least distances at some places of some motions [m]."""
+        rule, sizes = self.config.path, self.grasps.size[of]
+        scene = self.scene_at(float(sizes[0]))
+        k = np.minimum(at.astype(int), self.path.shape[2] - 2)
         t = (at - k)[:, None, None]
-        arms = (1 - t) * self.path[:, k].swapaxes(0, 1) + t * self.path[:, k + 1].swapaxes(0, 1)
-        knots = np.cumsum([0, *self.config.path.knots])
-        fingers = fingers_at(self.joints, np.interp(at, knots, np.arange(len(knots))), "grasp")
-        rise = np.maximum(at - pregrasp - close - squeeze, 0) / lift * self.config.path.lift
-        found = arm_distances(
-            *(self.scene, arms, fingers),
-            rise=rise,
-            reach=self.config.clearance.reach,
-            hands_touch=touch,
-        )
-        return np.stack(found, axis=1)
+        arms = (1 - t) * self.path[of, :, k] + t * self.path[of, :, k + 1]
+        knots = np.cumsum([0, *rule.knots])
+        places = np.interp(at, knots, np.arange(len(knots)))
+        qpos = qpos_of(scene, arms, fingers_at(self.grasps.joints[of], places, "grasp"))
+        first = scene.scene.object_qpos
+        qpos[:, first : first + 3] = self.grasps.object_pos[of]
+        qpos[:, first + 3 : first + 7] = self.grasps.object_quat_wxyz[of]
+        qpos[:, first + 2] += np.maximum(at - knots[-2], 0) / rule.knots[-1] * rule.lift
+        other = np.flatnonzero(np.diff(sizes)) + 1
+        resized = dict(zip(other.tolist(), sizes[other].tolist(), strict=True))
+
+        def before(number: int) -> None:
+            if number in resized:
+                self.scene_at(resized[number])
+
+        reach = self.config.clearance.reach
+        return distances_at(scene, qpos, reach=reach, hands_touch=touch, before=before)
 
 
-def final_word(
-    scene: ArmScene,
+def final_words(
+    scene_at: Callable[[float], ArmScene],
     grasps: Grasps,
-    row: int,
-    path: Float[np.ndarray, "2 W A"],
+    path: Float[np.ndarray, "R 2 W A"],
     looks: Looks,
     config: ArmConfig,
-) -> FinalWord:
-    """Ask MuJoCo about one motion.
+) -> FinalWords:
+    """Ask MuJoCo about motions.
 
     Fingers are those of the pre-grasp up to its knot, then on the way to the grasp, and stay there:
     in the squeeze they press on, and are stopped. Up to the pre-grasp hands count as arms do; what the
     pre-grasp itself overlaps is the grasp's own, and the step to it may. The object rises with the hands.
 
     Args:
-        scene: The object at its size; its state is overwritten.
-        grasps: The grasps.
-        row: Which of them.
+        scene_at: Gives the object at a size [m], always the same scene; its state is overwritten.
+        grasps: The grasp of each motion.
         path: Angles of both arms at every knot [rad].
-        looks: Where spheres have looked at it.
+        looks: Where spheres have looked at them.
         config: How deep things may be.
     """
-    approach, reach, *_rest = config.path.knots
-    pregrasp, joints = approach + reach, grasps.joints[row]
-    set_arms(scene, grasps.object_pos[row], grasps.object_quat_wxyz[row], path[:, 0], joints[:, 0])
-    posed = _Posed(scene, path, joints, config)
+    pregrasp = sum(config.path.knots[:2])
+    posed = _Posed(scene_at, grasps, path, config)
     asked = looks.open(config.clearance.asked)
     asked[np.isin(looks.at, np.cumsum(config.path.knots))] = True
-    least = np.full(4, config.clearance.reach)
+    words = FinalWords.none(len(path))
+    words.least[:] = config.clearance.reach
     # The grasp is looked at first: most motions that collide do so there.
     for touch in (True, False):
         part = looks.at >= pregrasp if touch else looks.at <= pregrasp
-        met = _search(posed, looks.select(part), asked[part], least, touch=touch)
-        if met is not None:
-            at, place = met
-            posed.distances(np.array([at]), touch=touch)
-            side, hand = nearest_side(scene, place, hands_touch=touch)
-            return FinalWord(_STATUS[place], least, side, hand and approach <= at and not touch)
-    return FinalWord(Status.OK, least)
+        part &= words.status[looks.of] == Status.OK
+        if part.any():
+            _search(posed, looks.select(part), asked[part], words, touch=touch)
+    return words
 
 
 def _search(
     posed: _Posed,
     looks: Looks,
     asked: Bool[np.ndarray, " M"],
-    least: Float[np.ndarray, " 4"],
+    words: FinalWords,
     *,
     touch: bool,
-) -> tuple[float, int] | None:
-    """Look for a place where something is too deep; `least` becomes what was found least.
-
-    Returns:
-        The place, and what is too deep there, as a place in `ArmDepths`; None where nothing is.
-    """
-    rule, last = posed.config.clearance, looks.at[-1]
-    depth = np.full(4, min(_DEEPER - rule.depth, 0.0))
-    at, long, both = looks.at, looks.way.max(axis=1), looks.way.sum(axis=1)
+) -> None:
+    """Look for the first place of each motion where something is too deep; writes to `words`."""
+    rule, pregrasp = posed.config.clearance, sum(posed.config.path.knots[:2])
+    of, at, long, both = looks.of, looks.at, looks.way.max(axis=1), looks.way.sum(axis=1)
     way = np.stack([long, long, both, long], axis=1)
     # What spheres say: links stand out of them by that much at most.
     apart, alone = looks.apart - TOLERANCE, looks.alone - TOLERANCE
     known = np.stack([alone, alone, apart, alone], axis=1)
-    dist, own = known.copy(), depth
-    new = np.flatnonzero(asked)
-    while True:
-        found = posed.distances(at[new], touch=touch)
+    dist, new = known.copy(), np.flatnonzero(asked)
+    may = np.full((len(words.status), 4), min(_DEEPER - rule.depth, 0.0))
+    own = may.copy()
+
+    def allowed(of: np.ndarray, at: np.ndarray) -> np.ndarray:
+        free = (at > pregrasp - 1)[:, None] & (not touch)
+        return np.where(free, own[of], may[of])
+
+    while len(new):
+        found = posed.distances(of[new], at[new], touch=touch)
         dist[new] = np.where(found < rule.reach, found, np.maximum(found, known[new]))
-        np.minimum(least, found.min(axis=0, initial=rule.reach), out=least)
-        if not touch and own is depth:  # the first time; the last place is the pre-grasp
-            own = np.minimum(found[-1], depth)
-        free = (at[new] > last - 1)[:, None] & (not touch)
-        over = found - np.where(free, own, depth)
-        if (over < 0).any():
-            first = int(np.flatnonzero((over < 0).any(axis=1))[0])
-            return float(at[new[first]]), int(over[first].argmin())
+        np.minimum.at(words.least, of[new], found)
+        ends = at[new] == pregrasp
+        own[of[new[ends]]] = np.minimum(found[ends], may[of[new[ends]]])
+        over = found - allowed(of[new], at[new])
+        deep = np.flatnonzero((over < 0).any(axis=1))
+        which, first = np.unique(of[new[deep]], return_index=True)
+        for motion, k in zip(which, deep[first], strict=True):
+            _refuse(posed, words, motion, at[new[k]], int(over[k].argmin()), touch=touch)
         low = 0.5 * (dist[:-1] + dist[1:] - _NEARER * way[:-1])
         middle = 0.5 * (at[:-1] + at[1:])
-        allowed = np.where((middle > last - 1)[:, None] & (not touch), own, depth)
-        k = np.flatnonzero((low < allowed).any(axis=1) & (way[:-1, 0] > rule.finest))
-        if not len(k):
-            return None
+        near = (low < allowed(of[:-1], middle)).any(axis=1) & (way[:-1, 0] > rule.finest)
+        k = np.flatnonzero(near & (of[:-1] == of[1:]) & (words.status[of[:-1]] == Status.OK))
         way[k] *= 0.5
         new = k + 1 + np.arange(len(k))
-        at, way = np.insert(at, k + 1, middle[k]), np.insert(way, k + 1, way[k], axis=0)
-        dist, known = (np.insert(values, k + 1, 0.0, axis=0) for values in (dist, known))
+        of, at = np.insert(of, k + 1, of[k]), np.insert(at, k + 1, middle[k])
+        way, dist, known = (
+            np.insert(values, k + 1, fill, axis=0)
+            for values, fill in ((way, way[k]), (dist, 0.0), (known, 0.0))
+        )
+
+
+def _refuse(
+    posed: _Posed, words: FinalWords, motion: int, at: float, place: int, *, touch: bool
+) -> None:
+    """Say what is too deep at a place of one motion, and whose it is; writes to `words`."""
+    posed.distances(np.array([motion]), np.array([at]), touch=touch)
+    scene = posed.scene_at(float(posed.grasps.size[motion]))
+    words.status[motion] = _STATUS[place]
+    words.side[motion], hand = nearest_side(scene, place, hands_touch=touch)
+    words.hand[motion] = hand and posed.config.path.knots[0] <= at and not touch

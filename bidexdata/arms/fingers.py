@@ -32,17 +32,17 @@ def key_places(knots: Sequence[int]) -> Float[np.ndarray, " W"]:
 
 
 def fingers_at(
-    joints: Float[np.ndarray, "H 3 J"], places: Float[np.ndarray, " W"], last: str = "squeeze"
+    joints: Float[np.ndarray, "*w H 3 J"], places: Float[np.ndarray, " W"], last: str = "squeeze"
 ) -> Float[np.ndarray, "W H J"]:
     """Angles of the fingers at places among the key frames, bit-equal to the stages at these [rad].
 
     Args:
-        joints: At pre-grasp, grasp and squeeze [rad].
+        joints: At pre-grasp, grasp and squeeze, of all places or of each [rad].
         places: As `key_places` gives them.
         last: `squeeze`, as it is commanded; `grasp` where the object is taken to stop the fingers.
     """
     stage = np.clip(places - PREGRASP, 0.0, LAST[last])[:, None, None]
     closing, pressing = np.minimum(stage, 1.0), np.maximum(stage - 1.0, 0.0)
-    pre, at, end = (joints[:, s].astype(np.float64) for s in range(3))
+    pre, at, end = (joints[..., s, :].astype(np.float64) for s in range(3))
     closed = (1.0 - closing) * pre + closing * at
     return (1.0 - pressing) * closed + pressing * end

@@ -29,7 +29,7 @@ class Looks(NamedTuple):
     alone: Float[np.ndarray, " M"]
     """Of one arm from all else [m]."""
     way: Float[np.ndarray, "M 2"]
-    """How far some sphere of each arm goes to the next place [m]."""
+    """How far some sphere of each arm goes to the next place [m]; behind the last of a motion none."""
 
     def least(self, count: int, until: int) -> Float[np.ndarray, " R"]:
         """Least clearance of each of `count` motions up to a knot [m]."""
@@ -43,10 +43,11 @@ class Looks(NamedTuple):
         np.minimum.at(least, self.of, self.apart)
         return least
 
-    def of_motion(self, number: int) -> Looks:
-        """Those of one motion."""
-        first, last = np.searchsorted(self.of, [number, number + 1])
-        return Looks(*(column[first:last] for column in self))
+    def of_motions(self, numbers: Int[np.ndarray, " R"]) -> Looks:
+        """Those of some motions, given in rising order and numbered anew."""
+        place = np.searchsorted(numbers, self.of)
+        some = np.isin(self.of, numbers)
+        return self._replace(of=place).select(some)
 
     def select(self, some: Bool[np.ndarray, " M"]) -> Looks:
         """Some of the places."""
@@ -59,10 +60,7 @@ class Looks(NamedTuple):
         return Looks(*(column[order] for column in every))
 
     def open(self, most: float) -> Bool[np.ndarray, " M"]:
-        """Where something may be nearer than `most` [m], there or half way to the place before or behind.
-
-        Of one motion.
-        """
+        """Where something may be nearer than `most` [m], there or half way to the place before or behind."""
         half = 0.5 * self.way
         half[1:] = np.maximum(half[1:], 0.5 * self.way[:-1])
         return np.asarray(

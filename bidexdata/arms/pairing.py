@@ -17,7 +17,7 @@ from bidexdata.arms.arm_scene import ArmScene
 from bidexdata.arms.candidates import FREE, Candidates
 from bidexdata.arms.clearance import apart_at
 from bidexdata.arms.config import ArmConfig, just_above
-from bidexdata.arms.final_word import FinalWord, final_word
+from bidexdata.arms.final_word import FinalWords, final_words
 from bidexdata.arms.looks import Looks, look
 from bidexdata.arms.robot import Robot
 from bidexdata.arms.smoothing import Smoother
@@ -47,8 +47,6 @@ class Pairing:
         self._robot, self._scene_at, self._grasps = robot, scene_at, grasps
         self._sides, self._around, self._config = sides, around, config
         both = np.asarray(sides[0].free.any(axis=1) & sides[1].free.any(axis=1))
-        self._scene: ArmScene | None = None
-        self._size = np.nan
         self._home = tuple(
             WaysHome(robot, h, side.q[:, :, 0], side.free & both[:, None], around, config)
             for h, side in enumerate(sides)
@@ -119,37 +117,34 @@ class Pairing:
         turns = np.max([_largest_step(path) for path in paths], axis=0)
         steady = turns <= config.path.largest_step
         self._stop(made, rows, picks, ~steady, STEADY, Status.JUMP)
-        for k in np.flatnonzero(steady):
-            looks = _joined(before.of_motion(int(k)), behind.of_motion(int(kept[k])), config)
-            one = np.arange(len(rows)) == k
-            self._speak(made, rows, picks, one, [path[k] for path in paths], looks)
+        some = np.flatnonzero(steady)
+        if len(some):
+            looks = _joined(before.of_motions(some), behind.of_motions(kept[some]), config)
+            self._speak(made, rows[some], picks[some], [path[some] for path in paths], looks)
 
     def _speak(
         self,
         made: ArmSolutions,
         rows: np.ndarray,
         picks: np.ndarray,
-        one: np.ndarray,
         paths: list[np.ndarray],
         looks: Looks,
     ) -> None:
-        """Let MuJoCo have the last word on one try; writes to `made`."""
-        n, search = int(rows[one][0]), self._config.search
-        word = FinalWord(Status.OK, np.full(4, np.nan))
+        """Let MuJoCo have the last word on some tries; writes to `made`."""
+        both, search = _padded(self._robot, paths), self._config.search
+        words = FinalWords.none(len(rows))
         if self._scene_at is not None:
-            if self._scene is None or self._grasps.size[n] != self._size:
-                self._size = self._grasps.size[n]
-                self._scene = self._scene_at(float(self._size))
-            both = _padded(self._robot, paths)
-            word = final_word(self._scene, self._grasps, n, both, looks, self._config)
-        self._stop(made, rows, picks, one, SPOKEN, word.status, word.side)
-        if word.status == Status.OK:
-            _keep_path(made, self._robot, n, paths, word.least, self._config)
-            self._todo[n] = False
-        elif word.hand:  # as with any other postures of the arms
-            self.blocked[n], self._todo[n] = word.side, False
-        else:
-            self._tries[n] += search.pairs // search.words
+            some = self._grasps.select(rows)
+            words = final_words(self._scene_at, some, both, looks, self._config)
+        self._stop(made, rows, picks, words.status >= 0, SPOKEN, words.status, words.side)
+        good = words.status == Status.OK
+        _keep_paths(
+            *(made, self._robot, rows[good], both[good], words.least[good], self._config)
+        )
+        stuck = words.hand  # as with any other postures of the arms
+        self.blocked[rows[stuck]] = words.side[stuck]
+        self._todo[rows[good | stuck]] = False
+        self._tries[rows] += search.pairs // search.words
 
     def _stop(
         self,
@@ -158,13 +153,14 @@ class Pairing:
         picks: np.ndarray,
         some: np.ndarray,
         gate: int,
-        status: Status,
-        side: int = -1,
+        status: Status | np.ndarray,
+        side: int | np.ndarray = -1,
     ) -> None:
         """Let some tries end; those that came farther than any before are kept in `made`."""
         farther = some & ((gate > self._gate[rows]) | (status == Status.OK))
         self._gate[rows[farther]] = gate
-        made.arm_status[rows[farther]], made.arm_failed_side[rows[farther]] = status, side
+        made.arm_status[rows[farther]] = np.broadcast_to(status, rows.shape)[farther]
+        made.arm_failed_side[rows[farther]] = np.broadcast_to(side, rows.shape)[farther]
         keep_key_frames(made, self._sides, rows[farther], picks[farther], self._config)
 
     def _apart(self, rows: np.ndarray, paths: list[np.ndarray]) -> np.ndarray:
@@ -236,11 +232,11 @@ class Pairing:
 
 
 def _joined(before: Looks, behind: Looks, config: ArmConfig) -> Looks:
-    """What spheres see of one motion: with hands up to the pre-grasp, behind it without."""
+    """What spheres see of motions: with hands up to the pre-grasp, behind it without."""
     approach, reach, *_rest = config.path.knots
     behind = behind._replace(at=behind.at + approach + 1)
-    pregrasp = approach + reach
-    way = np.concatenate([before.way[:-1], behind.way[behind.at == pregrasp]])
+    pregrasp, way = approach + reach, before.way.copy()
+    way[before.at == pregrasp] = behind.way[behind.at == pregrasp]
     return before._replace(way=way).joined(behind.select(behind.at > pregrasp))
 
 
@@ -278,31 +274,31 @@ def _largest_step(path: Float[np.ndarray, "R W A"]) -> Float[np.ndarray, " R"]:
     return np.abs(np.diff(stored, axis=1)).max(axis=(1, 2))
 
 
-def _padded(robot: Robot, paths: list[np.ndarray]) -> Float[np.ndarray, "2 W A"]:
-    both = np.full((2, len(paths[0]), robot.joints), np.nan)
+def _padded(robot: Robot, paths: list[np.ndarray]) -> Float[np.ndarray, "R 2 W A"]:
+    both = np.full((len(paths[0]), 2, paths[0].shape[1], robot.joints), np.nan)
     for h, path in enumerate(paths):
-        both[h, :, : path.shape[1]] = path.astype(np.float32)
+        both[:, h, :, : path.shape[2]] = path.astype(np.float32)
     return both
 
 
-def _keep_path(
+def _keep_paths(
     made: ArmSolutions,
     robot: Robot,
-    row: int,
-    paths: list[np.ndarray],
-    least: np.ndarray,
+    rows: Int[np.ndarray, " R"],
+    both: Float[np.ndarray, "R 2 W A"],
+    least: Float[np.ndarray, "R 4"],
     config: ArmConfig,
 ) -> None:
-    """Store a motion, its times and clearances; writes to `made`."""
-    both, rule = _padded(robot, paths), config.path
-    made.arm_path[row] = both
-    made.arm_joints[row, :, 0] = both[:, 0]
-    made.arm_step[row] = max(float(_largest_step(path[None])[0]) for path in paths)
-    made.arm_time[row] = knot_times(
+    """Store motions, their times and clearances; writes to `made`."""
+    rule = config.path
+    made.arm_path[rows] = both
+    made.arm_joints[rows, :, 0] = both[:, :, 0]
+    paths = [both[:, h, :, : arm.chain.joints] for h, arm in enumerate(robot.arms)]
+    made.arm_step[rows] = np.max([_largest_step(path) for path in paths], axis=0)
+    made.arm_time[rows] = knot_times(
         *(paths, [arm.chain.velocity for arm in robot.arms]),
         *(rule.knots, rule.seconds, rule.speed),
     )
-    for column, value in zip(
-        (made.clear_table, made.clear_object, made.clear_arms, made.clear_self), least, strict=True
-    ):
-        column[row] = value
+    columns = (made.clear_table, made.clear_object, made.clear_arms, made.clear_self)
+    for column, values in zip(columns, least.T, strict=True):
+        column[rows] = values

@@ -9,12 +9,12 @@ from jaxtyping import Float
 
 
 def knot_times(
-    paths: Sequence[Float[np.ndarray, "W _"]],
+    paths: Sequence[Float[np.ndarray, "*r W _"]],
     velocities: Sequence[Float[np.ndarray, " _"]],
     knots: Sequence[int],
     least: Sequence[float],
     share: float,
-) -> Float[np.ndarray, " W"]:
+) -> Float[np.ndarray, "*r W"]:
     """Give every knot its time, the same for all arms; knots of one phase are evenly spaced.
 
     Args:
@@ -29,14 +29,14 @@ def knot_times(
     """
     need = np.max(
         [
-            np.max(np.abs(np.diff(path, axis=0)) / (share * speed), axis=1)
+            np.max(np.abs(np.diff(path, axis=-2)) / (share * speed), axis=-1)
             for path, speed in zip(paths, velocities, strict=True)
         ],
         axis=0,
     )
-    steps, first = [], 0
+    steps, first = np.zeros((*need.shape[:-1], 1 + sum(knots))), 0
     for count, shortest in zip(knots, least, strict=True):
-        slowest = float(np.max(need[first : first + count], initial=0.0))
-        steps += [max(slowest, shortest / count)] * count
+        slowest = np.max(need[..., first : first + count], axis=-1, initial=shortest / count)
+        steps[..., 1 + first : 1 + first + count] = slowest[..., None]
         first += count
-    return np.concatenate([[0.0], np.cumsum(steps)])
+    return np.cumsum(steps, axis=-1)
