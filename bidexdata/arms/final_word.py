@@ -63,9 +63,9 @@ class _Posed(NamedTuple):
     config: ArmConfig
 
     def distances(
-        self, of: Int[np.ndarray, " M"], at: Float[np.ndarray, " M"], *, touch: bool
+        self, of: Int[np.ndarray, " M"], at: Float[np.ndarray, " M"], reach: float, *, touch: bool
     ) -> Float[np.ndarray, "M 4"]:
-        """Least distances at some places of some motions [m]."""
+        """Least distances at some places of some motions, at most the reach [m]."""
         rule, sizes = self.config.path, self.grasps.size[of]
         scene = self.scene_at(float(sizes[0]))
         k = np.minimum(at.astype(int), self.path.shape[2] - 2)
@@ -85,7 +85,6 @@ class _Posed(NamedTuple):
             if number in resized:
                 self.scene_at(resized[number])
 
-        reach = self.config.clearance.reach
         return distances_at(scene, qpos, reach=reach, hands_touch=touch, before=before)
 
 
@@ -147,10 +146,11 @@ def _search(
         free = (at > pregrasp - 1)[:, None] & (not touch)
         return np.where(free, own[of], may[of])
 
+    reach = rule.reach
     while len(new):
-        found = posed.distances(of[new], at[new], touch=touch)
-        dist[new] = np.where(found < rule.reach, found, np.maximum(found, known[new]))
-        np.minimum.at(words.least, of[new], found)
+        found = posed.distances(of[new], at[new], reach, touch=touch)
+        dist[new] = np.where(found < reach, found, np.maximum(reach, known[new]))
+        np.minimum.at(words.least, of[new], np.where(found < reach, found, rule.reach))
         ends = at[new] == pregrasp
         own[of[new[ends]]] = np.minimum(found[ends], may[of[new[ends]]])
         over = found - allowed(of[new], at[new])
@@ -163,6 +163,8 @@ def _search(
         near = (low < allowed(of[:-1], middle)).any(axis=1) & (way[:-1, 0] > rule.finest)
         k = np.flatnonzero(near & (of[:-1] == of[1:]) & (words.status[of[:-1]] == Status.OK))
         way[k] *= 0.5
+        # What is farther cannot come that near on the half of the way that is left.
+        reach = min(rule.reach, _NEARER * float(way[k].max(initial=0.0)))
         new = k + 1 + np.arange(len(k))
         of, at = np.insert(of, k + 1, of[k]), np.insert(at, k + 1, middle[k])
         way, dist, known = (
@@ -175,7 +177,8 @@ def _refuse(
     posed: _Posed, words: FinalWords, motion: int, at: float, place: int, *, touch: bool
 ) -> None:
     """Say what is too deep at a place of one motion, and whose it is; writes to `words`."""
-    posed.distances(np.array([motion]), np.array([at]), touch=touch)
+    reach = posed.config.clearance.reach
+    posed.distances(np.array([motion]), np.array([at]), reach, touch=touch)
     scene = posed.scene_at(float(posed.grasps.size[motion]))
     words.status[motion] = _STATUS[place]
     words.side[motion], hand = nearest_side(scene, place, hands_touch=touch)

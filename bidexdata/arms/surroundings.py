@@ -150,11 +150,14 @@ def vectors_on_device(values: np.ndarray, device: str, count: int) -> Any:
 @lru_cache(maxsize=16)
 def _box(field: SignedDistanceGrid) -> tuple[np.ndarray, np.ndarray]:
     """Corners of an upright box that no point of the solid is beyond, at unit diagonal."""
-    inside = np.argwhere(field.values <= field.cell)
-    if not len(inside):
+    inside = field.values <= field.cell
+    # Axis by axis, which is much sooner than listing the nodes.
+    along = [np.flatnonzero(inside.any(axis=others)) for others in ((1, 2), (0, 2), (0, 1))]
+    if not len(along[0]):
         return np.zeros(3), np.zeros(3)
     # A cell more: the surface lies between nodes.
-    low, high = inside.min(axis=0) - 1, inside.max(axis=0) + 1
+    low, high = (np.array([nodes[end] for nodes in along]) for end in (0, -1))
+    low, high = low - 1, high + 1
     return field.origin + field.cell * low, field.origin + field.cell * high
 
 
