@@ -21,7 +21,7 @@ class SphereArrays:
     """The spheres of one arm on a device; shapes and units as in `ArmSpheres`.
 
     The ball of group g is number K + g among the centres, behind those of the spheres; the hand's
-    spheres follow, and the balls round their groups.
+    spheres follow, the balls round their groups, and the ball round them all.
     """
 
     joint: wp.array(dtype=int)
@@ -47,7 +47,7 @@ class SphereArrays:
 
 @wp.struct
 class HandArrays:
-    """Spheres of a hand at N postures, and the balls round groups of them, (N, B); hand frame."""
+    """Spheres of a hand at N postures, balls round groups of them, (N, B), and one round all; hand frame."""
 
     pos: wp.array2d(dtype=wp.vec3)
     radius: wp.array(dtype=float)
@@ -55,6 +55,8 @@ class HandArrays:
     """First sphere of each group, and the number of spheres, (B + 1)."""
     ball_pos: wp.array2d(dtype=wp.vec3)
     ball_radius: wp.array2d(dtype=float)
+    whole_pos: wp.array(dtype=wp.vec3)
+    whole_radius: wp.array(dtype=float)
 
 
 @wp.struct
@@ -115,6 +117,8 @@ def place_arm_spheres(
             centre_out[m, first + i] = at + turn * hand.pos[n, i]
         for b in range(hand.ball_radius.shape[1]):
             centre_out[m, first + held + b] = at + turn * hand.ball_pos[n, b]
+        last = centre_out.shape[1] - 1
+        centre_out[m, last] = at + turn * hand.whole_pos[n]
 
 
 @wp.func
@@ -204,6 +208,13 @@ def part_total(spheres: SphereArrays, hand: HandArrays) -> int:
 
 
 @wp.func
+def hand_centre(centre_in: wp.array2d(dtype=wp.vec3), m: int) -> wp.vec3:
+    """Centre of the ball round the whole hand, where there is one."""
+    last = centre_in.shape[1] - 1
+    return centre_in[m, last]
+
+
+@wp.func
 def self_gap(
     spheres: SphereArrays,
     hand: HandArrays,
@@ -215,19 +226,22 @@ def self_gap(
     """Least distance between links of the arm, and from its hand to them, or `least` if smaller."""
     count = spheres.radius.shape[0]
     groups = spheres.group_joint.shape[0]
-    for part in range(groups, part_total(spheres, hand)):
-        ball, wide = part_ball(spheres, hand, centre_in, m, n, part)
-        first = part_first(spheres, hand, part)
+    if hand.radius.shape[0] > 0:
         for g in range(spheres.far_groups):
-            apart = wp.length(ball - centre_in[m, count + g])
-            if apart - wide - spheres.group_radius[g] < least:
-                for k in range(spheres.group_first[g], spheres.group_first[g + 1]):
-                    p = centre_in[m, k]
-                    r = spheres.radius[k]
-                    if wp.length(ball - p) - wide - r < least:
-                        for i in range(first, first + part_count(spheres, hand, part)):
-                            gap = wp.length(p - centre_in[m, i]) - r
-                            least = wp.min(least, gap - part_radius(spheres, hand, i))
+            q = centre_in[m, count + g]
+            broad = spheres.group_radius[g]
+            if wp.length(hand_centre(centre_in, m) - q) - hand.whole_radius[n] - broad < least:
+                for part in range(groups, part_total(spheres, hand)):
+                    ball, wide = part_ball(spheres, hand, centre_in, m, n, part)
+                    if wp.length(ball - q) - wide - broad < least:
+                        first = part_first(spheres, hand, part)
+                        for k in range(spheres.group_first[g], spheres.group_first[g + 1]):
+                            p = centre_in[m, k]
+                            r = spheres.radius[k]
+                            if wp.length(ball - p) - wide - r < least:
+                                for i in range(first, first + part_count(spheres, hand, part)):
+                                    gap = wp.length(p - centre_in[m, i]) - r
+                                    least = wp.min(least, gap - part_radius(spheres, hand, i))
     for c in range(spheres.pair_groups.shape[0]):
         g = spheres.pair_groups[c, 0]
         h = spheres.pair_groups[c, 1]
@@ -264,6 +278,12 @@ def clear_alone(
     near = most
     itself = most
     parts = part_total(spheres, hand)
+    if hand.radius.shape[0] > 0:
+        whole = hand_centre(centre_in, m)
+        size = hand.whole_radius[n]
+        if whole[2] - size >= table and fixture_gap(spheres, whole, size) >= itself:
+            if around.present == 0 or object_bound(around, n, whole, size) >= near:
+                parts = spheres.group_joint.shape[0]
     for back in range(parts - spheres.first_group):
         g = parts - 1 - back
         ball, wide = part_ball(spheres, hand, centre_in, m, n, g)
@@ -283,6 +303,71 @@ def clear_alone(
     gap_out[0, m] = table
     gap_out[1, m] = near
     gap_out[2, m] = self_gap(spheres, hand, centre_in, m, n, itself)
+
+
+@wp.func
+def whole_ball(
+    spheres: SphereArrays,
+    hand: HandArrays,
+    centre_in: wp.array2d(dtype=wp.vec3),
+    m: int,
+    n: int,
+    g: int,
+):
+    """Ball round group g of an arm, or round its whole hand where g is the number of those."""
+    at = spheres.radius.shape[0] + g
+    wide = float(-FAR)
+    if g < spheres.group_joint.shape[0]:
+        wide = spheres.group_radius[g]
+    elif hand.radius.shape[0] > 0:
+        at = centre_in.shape[1] - 1
+        wide = hand.whole_radius[n]
+    else:
+        at = 0
+    return centre_in[m, at], wide
+
+
+@wp.func
+def end_of_parts(spheres: SphereArrays, hand: HandArrays, g: int) -> int:
+    """Behind the last part of group g of an arm, or of its hand where g is the number of those."""
+    if g < spheres.group_joint.shape[0]:
+        return g + 1
+    return part_total(spheres, hand)
+
+
+@wp.func
+def gap_of_parts(
+    left: SphereArrays,
+    right: SphereArrays,
+    left_hand: HandArrays,
+    right_hand: HandArrays,
+    left_in: wp.array2d(dtype=wp.vec3),
+    right_in: wp.array2d(dtype=wp.vec3),
+    a: int,
+    b: int,
+    n: int,
+    l: int,
+    left_first: int,
+    right_first: int,
+    least: float,
+) -> float:
+    """Least distance between a link or hand of each arm, or `least` if smaller."""
+    for g in range(left_first, end_of_parts(left, left_hand, left_first)):
+        p, wide = part_ball(left, left_hand, left_in, a, n, g)
+        for h in range(right_first, end_of_parts(right, right_hand, right_first)):
+            x, broad = part_ball(right, right_hand, right_in, b, l, h)
+            if wp.length(p - x) - wide - broad < least:
+                first = part_first(left, left_hand, g)
+                other = part_first(right, right_hand, h)
+                for i in range(part_count(left, left_hand, g)):
+                    y = left_in[a, first + i]
+                    r = part_radius(left, left_hand, first + i)
+                    if wp.length(y - x) - r - broad < least:
+                        for j in range(part_count(right, right_hand, h)):
+                            gap = wp.length(y - right_in[b, other + j]) - r
+                            s = part_radius(right, right_hand, other + j)
+                            least = wp.min(least, gap - s)
+    return least
 
 
 @wp.kernel
@@ -308,26 +393,19 @@ def clear_of_each_other(
     m = wp.tid()
     a = pair_in[m, 0]
     b = pair_in[m, 1]
-    left_parts = part_total(left, left_hand)
-    right_parts = part_total(right, right_hand)
+    left_arm = left.group_joint.shape[0]
+    right_arm = right.group_joint.shape[0]
     least = most
-    for back in range(left_parts):
-        g = left_parts - 1 - back
-        p, wide = part_ball(left, left_hand, left_in, a, left_row_in[a], g)
-        for behind in range(right_parts):
-            h = right_parts - 1 - behind
-            x, broad = part_ball(right, right_hand, right_in, b, right_row_in[b], h)
+    for part in range(left_arm + 1):
+        # The hand first, as one, then links from the last on.
+        g = left_arm - part
+        p, wide = whole_ball(left, left_hand, left_in, a, left_row_in[a], g)
+        for behind in range(right_arm + 1):
+            h = right_arm - behind
+            x, broad = whole_ball(right, right_hand, right_in, b, right_row_in[b], h)
             if wp.length(p - x) - wide - broad < least:
-                first = part_first(left, left_hand, g)
-                other = part_first(right, right_hand, h)
-                for i in range(part_count(left, left_hand, g)):
-                    y = left_in[a, first + i]
-                    r = part_radius(left, left_hand, first + i)
-                    if wp.length(y - x) - r - broad < least:
-                        for j in range(part_count(right, right_hand, h)):
-                            gap = wp.length(y - right_in[b, other + j]) - r
-                            s = part_radius(right, right_hand, other + j)
-                            least = wp.min(least, gap - s)
+                least = gap_of_parts(left, right, left_hand, right_hand, left_in, right_in, a, b,
+                                     left_row_in[a], right_row_in[b], g, h, least)
     gap_out[m] = least
 
 

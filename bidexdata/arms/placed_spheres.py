@@ -48,7 +48,8 @@ def place_arm(
     from bidexdata.arms.clearance_kernels import place_arm_spheres
 
     spheres = _spheres_on_device(arm, device)
-    of_hand = hand.radius.shape[0] + hand.ball_radius.shape[1]
+    held = hand.radius.shape[0]
+    of_hand = held + hand.ball_radius.shape[1] + 1 if held else 0
     width = len(arm.spheres.radius) + spheres.group_joint.shape[0] + of_hand
     vector: Any = wp.vec3
     centre = wp.empty((len(q), width), dtype=vector, device=device)

@@ -83,9 +83,11 @@ def _hands_on_device(hands: HeldHands, device: str) -> Any:
     first = np.arange(0, shape[1], _TOGETHER)
     low, high = (u.reduceat(hands.pos, first, axis=1) for u in (np.minimum, np.maximum))
     middle = 0.5 * (low + high)
+    whole = 0.5 * (low.min(axis=1, keepdims=True) + high.max(axis=1, keepdims=True))
     group = np.arange(shape[1]) // _TOGETHER
     apart = np.linalg.norm(hands.pos - middle[:, group], axis=-1) + hands.radius
     wide = np.maximum.reduceat(apart, first, axis=1) + ROUNDING
+    widest = (np.linalg.norm(hands.pos - whole, axis=-1) + hands.radius).max(axis=1) + ROUNDING
     arrays.pos = _vectors(hands.pos, device)
     arrays.radius = wp.array(hands.radius.astype(np.float32), dtype=float, device=device)
     ends = np.append(first, shape[1]).astype(np.int32)
@@ -93,6 +95,8 @@ def _hands_on_device(hands: HeldHands, device: str) -> Any:
     arrays.ball_pos = _vectors(middle, device)
     balls = np.ascontiguousarray(wide, np.float32)
     arrays.ball_radius = wp.array(balls, dtype=float, shape=balls.shape, device=device)
+    arrays.whole_pos = vectors_on_device(whole, device, len(whole))
+    arrays.whole_radius = wp.array(widest.astype(np.float32), dtype=float, device=device)
     return arrays
 
 
@@ -116,6 +120,8 @@ def nothing_held(device: str) -> Any:
     arrays.group_first = wp.zeros(1, dtype=int, device=device)
     arrays.ball_pos = wp.zeros((0, 0), dtype=wp.vec3, device=device)
     arrays.ball_radius = wp.empty((0, 0), dtype=float, device=device)
+    arrays.whole_pos = wp.empty(0, dtype=wp.vec3, device=device)
+    arrays.whole_radius = wp.empty(0, dtype=float, device=device)
     return arrays
 
 
