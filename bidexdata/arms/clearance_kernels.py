@@ -404,8 +404,21 @@ def clear_of_each_other(
             h = right_arm - behind
             x, broad = whole_ball(right, right_hand, right_in, b, right_row_in[b], h)
             if wp.length(p - x) - wide - broad < least:
-                least = gap_of_parts(left, right, left_hand, right_hand, left_in, right_in, a, b,
-                                     left_row_in[a], right_row_in[b], g, h, least)
+                least = gap_of_parts(
+                    left,
+                    right,
+                    left_hand,
+                    right_hand,
+                    left_in,
+                    right_in,
+                    a,
+                    b,
+                    left_row_in[a],
+                    right_row_in[b],
+                    g,
+                    h,
+                    least,
+                )
     gap_out[m] = least
 
 

@@ -118,7 +118,7 @@ class SearchConfig:
     """Nearest postures that each of them may go on to [-]."""
     spread: float = 1.5
     """How far they lie beside the straight line in joint space [rad]."""
-    replans: int = 24
+    replans: int = 16
     """Ways that the planner checks, shortest first [-]."""
     standoffs: int = 3
     """Stand-offs of a hand that are tried, where the open hand meets something on its way from one to

@@ -138,9 +138,7 @@ class Pairing:
             words = final_words(self._scene_at, some, both, looks, self._config)
         self._stop(made, rows, picks, words.status >= 0, SPOKEN, words.status, words.side)
         good = words.status == Status.OK
-        _keep_paths(
-            *(made, self._robot, rows[good], both[good], words.least[good], self._config)
-        )
+        _keep_paths(*(made, self._robot, rows[good], both[good], words.least[good], self._config))
         stuck = words.hand  # as with any other postures of the arms
         self.blocked[rows[stuck]] = words.side[stuck]
         self._todo[rows[good | stuck]] = False

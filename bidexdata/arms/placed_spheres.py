@@ -1,6 +1,6 @@
 """The spheres of an arm on a device, in groups, and where they are at given joint angles.
 
-World frame. Groups are the spheres of one body each, in a ball.
+World frame. Groups are spheres of one body that follow each other along it, in a ball.
 """
 
 from __future__ import annotations
@@ -12,10 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from bidexdata.arms.arm_spheres import ArmSpheres
 from bidexdata.arms.inverse_kinematics import chain_on_device
 from bidexdata.arms.robot import Arm
 from bidexdata.arms.surroundings import ROUNDING, vectors_on_device
 from bidexdata.devices import start_warp
+
+_TOGETHER = 6
+"""Spheres of a link that a ball is put round, at most [-]."""
 
 
 class PlacedArm(NamedTuple):
@@ -77,9 +81,9 @@ def _spheres_on_device(arm: Arm, device: str) -> Any:
     def vectors(values: list[Any] | np.ndarray) -> Any:
         return vectors_on_device(np.array(values, np.float64), device, len(values))
 
-    arrays, spheres = SphereArrays(), arm.spheres
-    groups = _groups(arm)
-    pairs, pair_groups, pair_first = _grouped_pairs(arm, groups.first)
+    arrays, spheres = SphereArrays(), along_links(arm.spheres)
+    groups = _groups(spheres)
+    pairs, pair_groups, pair_first = _grouped_pairs(spheres.against_self, groups.first)
     arrays.joint = numbers(spheres.joint)
     arrays.pos = vectors(spheres.pos)
     arrays.radius = numbers(spheres.radius, float)
@@ -97,8 +101,28 @@ def _spheres_on_device(arm: Arm, device: str) -> Any:
     return arrays
 
 
+def along_links(spheres: ArmSpheres) -> ArmSpheres:
+    """The same spheres, those of each body in order along its longest side."""
+    first = _first_of_bodies(spheres)
+    order = [
+        a + np.argsort(own[:, np.ptp(own, axis=0).argmax()], kind="stable")
+        for a, own in zip(first, np.split(spheres.pos, first[1:]), strict=True)
+    ]
+    whole = np.concatenate(order)
+    place = np.argsort(whole)
+    pairs = place[spheres.against_self].astype(np.int32)
+    return spheres._replace(
+        pos=spheres.pos[whole], radius=spheres.radius[whole], against_self=pairs
+    )
+
+
+def _first_of_bodies(spheres: ArmSpheres) -> list[int]:
+    keys = list(zip(spheres.joint.tolist(), spheres.part, strict=True))
+    return [k for k in range(len(keys)) if k == 0 or keys[k] != keys[k - 1]]
+
+
 class _Groups(NamedTuple):
-    """Balls round the spheres of one body each."""
+    """Balls round some spheres of one body each."""
 
     first: np.ndarray
     """First sphere of each group, and the number of spheres."""
@@ -106,23 +130,23 @@ class _Groups(NamedTuple):
     radius: np.ndarray
 
 
-def _groups(arm: Arm) -> _Groups:
-    spheres = arm.spheres
-    keys = list(zip(spheres.joint.tolist(), spheres.part, strict=True))
-    first = [k for k in range(len(keys)) if k == 0 or keys[k] != keys[k - 1]]
+def _groups(spheres: ArmSpheres) -> _Groups:
+    ends = [*_first_of_bodies(spheres), len(spheres.radius)]
+    first = [k for a, b in pairwise(ends) for k in range(a, b, _TOGETHER)]
     pos, radius = [], []
-    for a, b in pairwise([*first, len(keys)]):
+    for a, b in pairwise([*first, ends[-1]]):
         own = spheres.pos[a:b]
         middle = 0.5 * (own.min(axis=0) + own.max(axis=0))
         pos.append(middle)
         apart = np.linalg.norm(own - middle, axis=1) + spheres.radius[a:b]
         radius.append(float(apart.max()) + ROUNDING)
-    return _Groups(np.array([*first, len(keys)]), np.array(pos), np.array(radius))
+    return _Groups(np.array([*first, ends[-1]]), np.array(pos), np.array(radius))
 
 
-def _grouped_pairs(arm: Arm, first: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _grouped_pairs(
+    pairs: np.ndarray, first: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pairs of spheres that may meet by the groups that they are of; those groups; where they begin."""
-    pairs = arm.spheres.against_self
     of = np.searchsorted(first, pairs, side="right") - 1
     order = np.lexsort((of[:, 1], of[:, 0]))
     pairs, of = pairs[order], of[order]
