@@ -281,9 +281,11 @@ def clear_alone(
     if hand.radius.shape[0] > 0:
         whole = hand_centre(centre_in, m)
         size = hand.whole_radius[n]
-        if whole[2] - size >= table and fixture_gap(spheres, whole, size) >= itself:
-            if around.present == 0 or object_bound(around, n, whole, size) >= near:
-                parts = spheres.group_joint.shape[0]
+        apart = whole[2] - size >= table and fixture_gap(spheres, whole, size) >= itself
+        if around.present == 1:
+            apart = apart and object_bound(around, n, whole, size) >= near
+        if apart:
+            parts = spheres.group_joint.shape[0]
     for back in range(parts - spheres.first_group):
         g = parts - 1 - back
         ball, wide = part_ball(spheres, hand, centre_in, m, n, g)

@@ -156,8 +156,8 @@ def _search(
         over = found - allowed(of[new], at[new])
         deep = np.flatnonzero((over < 0).any(axis=1))
         which, first = np.unique(of[new[deep]], return_index=True)
-        for motion, k in zip(which, deep[first], strict=True):
-            _refuse(posed, words, motion, at[new[k]], int(over[k].argmin()), touch=touch)
+        for motion, k in zip(which.tolist(), deep[first].tolist(), strict=True):
+            _refuse(posed, words, motion, float(at[new[k]]), int(over[k].argmin()), touch=touch)
         low = 0.5 * (dist[:-1] + dist[1:] - _NEARER * way[:-1])
         middle = 0.5 * (at[:-1] + at[1:])
         near = (low < allowed(of[:-1], middle)).any(axis=1) & (way[:-1, 0] > rule.finest)
