@@ -156,9 +156,8 @@ def just_above(clearance: float) -> float:
 class ArmConfig:
     """Everything that decides which motion a grasp gets, besides the robot."""
 
-    ik: IkConfig = field(default_factory=lambda: IkConfig(starts=16, iterations=14))
-    """Both arms must find a posture that is free, so there are more starts than for one target; of
-    those, few that need more steps than this lead to motions that others do not."""
+    ik: IkConfig = field(default_factory=lambda: IkConfig(starts=16))
+    """Both arms must find a posture that is free, so there are more starts than for one target."""
     clearance: ClearanceConfig = field(default_factory=ClearanceConfig)
     path: PathConfig = field(default_factory=PathConfig)
     search: SearchConfig = field(default_factory=SearchConfig)

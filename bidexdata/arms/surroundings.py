@@ -120,7 +120,7 @@ def nothing_held(device: str) -> Any:
     arrays.group_first = wp.zeros(1, dtype=int, device=device)
     arrays.ball_pos = wp.zeros((0, 0), dtype=wp.vec3, device=device)
     arrays.ball_radius = wp.empty((0, 0), dtype=float, device=device)
-    arrays.whole_pos = wp.empty(0, dtype=wp.vec3, device=device)
+    arrays.whole_pos = vectors_on_device(np.zeros((0, 3)), device, 0)
     arrays.whole_radius = wp.empty(0, dtype=float, device=device)
     return arrays
 
