@@ -24,6 +24,7 @@ from bidexdata.arms.inverse_kinematics import (
     solve_first,
     solve_ik,
 )
+from bidexdata.arms.ranking import ROOM_COUNTS
 from bidexdata.arms.robot import Arm, Robot
 from bidexdata.arms.solutions import Grasps
 from bidexdata.arms.stand_offs import stand_offs
@@ -36,8 +37,6 @@ from bidexdata.record.status import Status
 REACHED, CLEAR, FOLLOWED, FREE = 1, 2, 3, 4
 """Gates that a candidate passes one after the other: a posture, clear at the grasp, all waypoints,
 clear at all of them."""
-_ROOM_COUNTS = 30.0
-"""What a metre of clearance is worth in turns away from rest [rad/m]."""
 _LOOK_EVERY = 3
 """Clearance is looked at so often along the waypoints [-]: hands go by two centimetres at most."""
 _ALIKE = 0.05
@@ -287,7 +286,7 @@ def _follow(
     part.gate[free], part.status[free] = FREE, Status.OK
     goal = np.broadcast_to(pos[:, None, 0], (*free.shape, 3))[free]
     off = config.search.straight * hand_detour(arm, part.q[free][:, 0], goal)
-    part.cost[free] = (away - _ROOM_COUNTS * part.room)[free] + off
+    part.cost[free] = (away - ROOM_COUNTS * part.room)[free] + off
 
 
 def hand_detour(
@@ -362,7 +361,7 @@ def _best_first(
     """Order of the candidates and the gate that each has passed, in that order."""
     room = np.minimum(gap, config.clearance.enough)
     gate = np.where(clear, CLEAR, np.where(new, REACHED, 0))
-    order = np.lexsort((away - _ROOM_COUNTS * room, -gate), axis=1)
+    order = np.lexsort((away - ROOM_COUNTS * room, -gate), axis=1)
     return order, np.take_along_axis(gate, order, axis=1)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from box_solids import box_solid
 from made_rig import rig_data, write_rig
+from test_arm_scene import at_rest
 
 from bidexdata.arms.arm_scene import build_arm_scene, command_arms, set_arms
 from bidexdata.arms.registry import load_rig
@@ -64,19 +65,10 @@ def robot(name, request, tmp_path_factory):
     return mount_robot(load_rig(rig), load_hands(hand))
 
 
-def rest(robot) -> tuple[np.ndarray, np.ndarray]:
-    q = np.full((2, robot.joints), np.nan)
-    joints = np.full((2, max(len(h.joint_names) for h in robot.hands)), np.nan)
-    for i, arm in enumerate(robot.arms):
-        q[i, : arm.chain.joints] = arm.chain.rest
-        joints[i, : len(robot.hands[i].joint_names)] = robot.hands[i].posture_open
-    return q, joints
-
-
 def fastest_after_a_step(robot, rules: ArmRules, step: float) -> float:
     """Speed of the fastest arm joint 1 s after a step of all targets, gravity on [rad/s]."""
     arms = build_arm_scene(robot, None, 1.0, servos=servo_settings(rules))
-    q, joints = rest(robot)
+    q, joints = at_rest(robot)
     set_arms(arms, np.zeros(3), np.array([1.0, 0, 0, 0]), q, joints)
     command_arms(arms, q + step)
     model, data = arms.scene.model, arms.scene.data
@@ -101,7 +93,7 @@ def test_damping_is_at_most_inertia_per_step_and_stiffness_falls_with_it(robot):
     arms = build_arm_scene(robot, box_solid(), 0.3, servos=servo_settings(RULES))
     model, data = arms.scene.model, arms.scene.data
     np.testing.assert_array_equal(data.qvel, 0.0)
-    q, joints = rest(robot)
+    q, joints = at_rest(robot)
     set_arms(arms, np.array([5.0, 0, 1]), np.array([1.0, 0, 0, 0]), q, joints)
     mujoco.mj_forward(model, data)
     mass = np.zeros((model.nv, model.nv))
