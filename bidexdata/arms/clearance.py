@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from bidexdata.arms.placed_spheres import PlacedArm, place_arm
+from bidexdata.arms.placed_spheres import PosedArm, place_arm, pose_arm
 from bidexdata.arms.robot import Arm
 from bidexdata.arms.surroundings import (
     HeldHands,
@@ -56,6 +56,7 @@ def clear_at(
     *,
     with_hand: bool = True,
     most: float = FAR,
+    enough: float = -FAR,
 ) -> Float[np.ndarray, "3 M"]:
     """Clearance of one arm from table, object and itself with the fixtures [m].
 
@@ -67,13 +68,26 @@ def clear_at(
         side: Whose hand the arm carries.
         with_hand: The hand counts.
         most: Larger clearances are given as this, which takes less time [m].
+        enough: A configuration that has one below this is not looked at any further [m].
     """
     if not len(q):
         return np.zeros((3, 0))
+    import warp as wp
+
+    from bidexdata.arms.clearance_kernels import clear_alone
+
     device = around.device
     hand = around.hands[side] if with_hand else nothing_held(device)
-    of = _whole(rows, device)
-    return _alone(place_arm(arm, q, of, hand, device), around, most)
+    posed, of = pose_arm(arm, q, hand, device), _whole(rows, device)
+    out = _triples(len(q), device)
+    wp.launch(
+        clear_alone,
+        dim=len(q),
+        inputs=[posed.chain, posed.spheres, hand, around.field, around.object, posed.q, of, most,
+                enough, posed.centre, out],
+        device=device,
+    )  # fmt: skip
+    return out.numpy().astype(np.float64).T
 
 
 def apart_at(
@@ -86,6 +100,7 @@ def apart_at(
     *,
     with_hands: bool = True,
     most: float = FAR,
+    enough: float = -FAR,
 ) -> Float[np.ndarray, " M"]:
     """Clearance between two arms [m].
 
@@ -98,18 +113,30 @@ def apart_at(
         pairs: Which are taken together; each with its like when omitted.
         with_hands: The hands count.
         most: Larger clearances are given as this, which takes less time [m].
+        enough: Two that are nearer than this are not looked at any further [m].
     """
     if pairs is None:
-        pairs = _like_with_like(len(left))
+        pairs = np.repeat(np.arange(len(left))[:, None], 2, axis=1)
     if not len(pairs):
         return np.zeros(0)
+    import warp as wp
+
+    from bidexdata.arms.clearance_kernels import clear_of_each_other
+
     device = around.device
-    hands = around.hands if with_hands else (nothing_held(device),) * 2
-    one, other = (
-        place_arm(arm, q, _whole(row, device), hand, device)
-        for arm, q, row, hand in zip(arms, (left, right), rows, hands, strict=True)
-    )
-    return _between(one, other, pairs, most, device)
+    of = [_whole(row, device) for row in rows]
+    one, other = _posed(arms, (left, right), around, with_hands=with_hands)
+    for posed, row in zip((one, other), of, strict=True):
+        place_arm(posed, row, device)
+    out = wp.empty(len(pairs), dtype=float, device=device)
+    wp.launch(
+        clear_of_each_other,
+        dim=len(pairs),
+        inputs=[one.spheres, other.spheres, one.hand, other.hand, one.centre, other.centre, *of,
+                _whole(pairs, device), most, enough, out],
+        device=device,
+    )  # fmt: skip
+    return out.numpy().astype(np.float64)
 
 
 def clear_together(
@@ -138,68 +165,48 @@ def clear_together(
     """
     if not len(rows):
         return PairClearances(np.zeros(0), np.zeros(0), np.zeros((2, 0)))
-    device = around.device
-    of = _whole(rows, device)
-    hands = around.hands if with_hands else (nothing_held(device),) * 2
-    one, other = (
-        place_arm(arm, q, of, hand, device)
-        for arm, q, hand in zip(arms, (left, right), hands, strict=True)
-    )
-    return PairClearances(
-        apart=_between(one, other, _like_with_like(len(rows)), most[0], device),
-        alone=np.min([_alone(placed, around, most[1]).min(axis=0) for placed in (one, other)], 0),
-        way=np.stack([_ways(placed, device) for placed in (one, other)]),
-    )
-
-
-def _ways(placed: PlacedArm, device: str) -> Float[np.ndarray, " W"]:
     import warp as wp
 
-    from bidexdata.arms.clearance_kernels import ways_of_spheres
+    from bidexdata.arms.clearance_kernels import clear_together as together
+    from bidexdata.arms.sphere_kernels import ways_of_spheres
 
-    out = wp.empty(placed.rows.shape[0] - 1, dtype=float, device=device)
-    wp.launch(ways_of_spheres, dim=out.shape[0], inputs=[placed.centre, out], device=device)
-    return out.numpy().astype(np.float64)
-
-
-def _alone(placed: PlacedArm, around: Surroundings, most: float) -> Float[np.ndarray, "3 M"]:
-    import warp as wp
-
-    from bidexdata.arms.clearance_kernels import clear_alone
-
-    device, count = around.device, placed.rows.shape[0]
-    out = wp.empty((3, count), dtype=float, device=device)
+    device, count = around.device, len(rows)
+    one, other = _posed(arms, (left, right), around, with_hands=with_hands)
+    gaps = _triples(count, device)
     wp.launch(
-        clear_alone,
+        together,
         dim=count,
-        inputs=[placed.spheres, placed.hand, around.field, around.object, placed.centre,
-                placed.rows, most, out],
+        inputs=[one.chain, other.chain, one.spheres, other.spheres, one.hand, other.hand,
+                around.field, around.object, one.q, other.q, _whole(rows, device), *most,
+                one.centre, other.centre, gaps],
         device=device,
     )  # fmt: skip
-    return out.numpy().astype(np.float64)
+    ways = wp.empty((2, count - 1), dtype=float, device=device)
+    wp.launch(
+        ways_of_spheres, dim=count - 1, inputs=[one.centre, other.centre, ways], device=device
+    )
+    gap, alone, their = gaps.numpy().astype(np.float64).T
+    return PairClearances(gap, np.minimum(alone, their), ways.numpy().astype(np.float64))
 
 
-def _between(
-    one: PlacedArm, other: PlacedArm, pairs: np.ndarray, most: float, device: str
-) -> Float[np.ndarray, " M"]:
+def _posed(
+    arms: tuple[Arm, Arm],
+    q: tuple[np.ndarray, np.ndarray],
+    around: Surroundings,
+    *,
+    with_hands: bool,
+) -> list[PosedArm]:
+    """Both arms on the device."""
+    device = around.device
+    hands = around.hands if with_hands else (nothing_held(device),) * 2
+    return [pose_arm(*of, device) for of in zip(arms, q, hands, strict=True)]
+
+
+def _triples(count: int, device: str) -> Any:
     import warp as wp
 
-    from bidexdata.arms.clearance_kernels import clear_of_each_other
-
-    chosen = wp.array(np.ascontiguousarray(pairs, np.int32), dtype=int, device=device)
-    out = wp.empty(len(pairs), dtype=float, device=device)
-    wp.launch(
-        clear_of_each_other,
-        dim=len(pairs),
-        inputs=[one.spheres, other.spheres, one.hand, other.hand, one.centre, other.centre,
-                one.rows, other.rows, chosen, most, out],
-        device=device,
-    )  # fmt: skip
-    return out.numpy().astype(np.float64)
-
-
-def _like_with_like(count: int) -> Int[np.ndarray, "M 2"]:
-    return np.repeat(np.arange(count, dtype=np.int32)[:, None], 2, axis=1)
+    vector: Any = wp.vec3
+    return wp.empty(count, dtype=vector, device=device)
 
 
 def _whole(values: np.ndarray, device: str) -> Any:

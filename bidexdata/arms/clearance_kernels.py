@@ -1,62 +1,31 @@
 """Warp kernels of clearance: spheres of arms and hands against all around them and each other.
 
 One thread per configuration. Everything is in the world frame [m]; clearances are negative where
-spheres overlap, and `most` where everything is at least that far away. Spheres come in groups that lie
-in a ball each, and a group whose ball is farther away than what is nearest so far is passed over, which
-changes no result.
+spheres overlap, and `most` where everything is at least that far away. A group whose ball is farther
+away than what is nearest so far is passed over, which changes no result.
 """
 
 import warp as wp
 
-from bidexdata.arms.chain_kernels import ChainArrays, turn_about
+from bidexdata.arms.chain_kernels import ChainArrays
+from bidexdata.arms.sphere_kernels import (
+    HandArrays,
+    SphereArrays,
+    end_of_parts,
+    hand_centre,
+    part_ball,
+    part_count,
+    part_first,
+    part_radius,
+    part_total,
+    place_spheres,
+    whole_ball,
+)
 from bidexdata.objects.distance_field_kernels import DistanceField, signed_distance
 
 wp.set_module_options({"enable_backward": False})
 
 FAR = wp.constant(1.0e3)
-
-
-@wp.struct
-class SphereArrays:
-    """The spheres of one arm on a device; shapes and units as in `ArmSpheres`.
-
-    The ball of group g is number K + g among the centres, behind those of the spheres; the hand's
-    spheres follow, the balls round their groups, and the ball round them all.
-    """
-
-    joint: wp.array(dtype=int)
-    pos: wp.array(dtype=wp.vec3)
-    radius: wp.array(dtype=float)
-    pairs: wp.array2d(dtype=int)
-    pair_groups: wp.array2d(dtype=int)
-    """Groups whose spheres may meet, (P', 2)."""
-    pair_first: wp.array(dtype=int)
-    """First pair of each of them, and the number of pairs, (P' + 1)."""
-    group_first: wp.array(dtype=int)
-    """First sphere of each group, and the number of spheres, (G + 1)."""
-    group_joint: wp.array(dtype=int)
-    group_pos: wp.array(dtype=wp.vec3)
-    group_radius: wp.array(dtype=float)
-    fixture_pos: wp.array(dtype=wp.vec3)
-    fixture_half: wp.array(dtype=wp.vec3)
-    first_group: int
-    """First group that a second joint of the chain, or a later one, moves."""
-    far_groups: int
-    """Groups, from the first on, that the hand of this arm may meet."""
-
-
-@wp.struct
-class HandArrays:
-    """Spheres of a hand at N postures, balls round groups of them, (N, B), and one round all; hand frame."""
-
-    pos: wp.array2d(dtype=wp.vec3)
-    radius: wp.array(dtype=float)
-    group_first: wp.array(dtype=int)
-    """First sphere of each group, and the number of spheres, (B + 1)."""
-    ball_pos: wp.array2d(dtype=wp.vec3)
-    ball_radius: wp.array2d(dtype=float)
-    whole_pos: wp.array(dtype=wp.vec3)
-    whole_radius: wp.array(dtype=float)
 
 
 @wp.struct
@@ -70,55 +39,6 @@ class ObjectArrays:
     size: wp.array(dtype=float)
     pos: wp.array(dtype=wp.vec3)
     rot: wp.array(dtype=wp.mat33)
-
-
-@wp.kernel
-def place_arm_spheres(
-    # Arm:
-    chain: ChainArrays,
-    spheres: SphereArrays,
-    hand: HandArrays,
-    # Configurations in, and the row of hands and objects that each is of:
-    q_in: wp.array2d(dtype=float),
-    row_in: wp.array(dtype=int),
-    # Centres out:
-    centre_out: wp.array2d(dtype=wp.vec3),
-):
-    """Place spheres and balls, which lie in the order of the chain, and those of the hand."""
-    m = wp.tid()
-    n = row_in[m]
-    at = wp.vec3(0.0, 0.0, 0.0)
-    turn = wp.identity(n=3, dtype=float)
-    k = wp.int32(0)
-    g = wp.int32(0)
-    count = spheres.radius.shape[0]
-    groups = spheres.group_joint.shape[0]
-    while k < count and spheres.joint[k] < 0:
-        centre_out[m, k] = spheres.pos[k]
-        k = k + 1
-    while g < groups and spheres.group_joint[g] < 0:
-        centre_out[m, count + g] = spheres.group_pos[g]
-        g = g + 1
-    for j in range(chain.count):
-        at = at + turn * chain.before_pos[j]
-        turn = turn * chain.before_rot[j] * turn_about(chain.axis[j], q_in[m, j])
-        while k < count and spheres.joint[k] == j:
-            centre_out[m, k] = at + turn * spheres.pos[k]
-            k = k + 1
-        while g < groups and spheres.group_joint[g] == j:
-            centre_out[m, count + g] = at + turn * spheres.group_pos[g]
-            g = g + 1
-    held = hand.radius.shape[0]
-    if held > 0:
-        at = at + turn * chain.end_pos
-        turn = turn * chain.end_rot
-        first = count + groups
-        for i in range(held):
-            centre_out[m, first + i] = at + turn * hand.pos[n, i]
-        for b in range(hand.ball_radius.shape[1]):
-            centre_out[m, first + held + b] = at + turn * hand.ball_pos[n, b]
-        last = centre_out.shape[1] - 1
-        centre_out[m, last] = at + turn * hand.whole_pos[n]
 
 
 @wp.func
@@ -151,67 +71,6 @@ def object_bound(around: ObjectArrays, n: int, p: wp.vec3, r: float) -> float:
     x = wp.transpose(around.rot[n]) * (p - around.pos[n])
     half = 0.5 * around.size[n] * (around.high - around.low)
     return box_distance(half, x - around.size[n] * around.low - half) - r
-
-
-@wp.func
-def part_first(spheres: SphereArrays, hand: HandArrays, g: int) -> int:
-    """First centre of group g; the groups behind the arm's are the hand's."""
-    groups = spheres.group_joint.shape[0]
-    if g < groups:
-        return spheres.group_first[g]
-    return spheres.radius.shape[0] + groups + hand.group_first[g - groups]
-
-
-@wp.func
-def part_count(spheres: SphereArrays, hand: HandArrays, g: int) -> int:
-    """Spheres of group g."""
-    groups = spheres.group_joint.shape[0]
-    if g < groups:
-        return spheres.group_first[g + 1] - spheres.group_first[g]
-    return hand.group_first[g - groups + 1] - hand.group_first[g - groups]
-
-
-@wp.func
-def part_ball(
-    spheres: SphereArrays,
-    hand: HandArrays,
-    centre_in: wp.array2d(dtype=wp.vec3),
-    m: int,
-    n: int,
-    g: int,
-):
-    """Ball round group g."""
-    at = spheres.radius.shape[0] + g
-    groups = spheres.group_joint.shape[0]
-    wide = float(0.0)
-    if g < groups:
-        wide = spheres.group_radius[g]
-    else:
-        at = at + hand.radius.shape[0]
-        wide = hand.ball_radius[n, g - groups]
-    return centre_in[m, at], wide
-
-
-@wp.func
-def part_radius(spheres: SphereArrays, hand: HandArrays, k: int) -> float:
-    """Radius of the sphere whose centre is number k."""
-    count = spheres.radius.shape[0]
-    if k < count:
-        return spheres.radius[k]
-    return hand.radius[k - count - spheres.group_joint.shape[0]]
-
-
-@wp.func
-def part_total(spheres: SphereArrays, hand: HandArrays) -> int:
-    """Groups of the arm, and of the hand if there is one."""
-    return spheres.group_joint.shape[0] + hand.ball_radius.shape[1]
-
-
-@wp.func
-def hand_centre(centre_in: wp.array2d(dtype=wp.vec3), m: int) -> wp.vec3:
-    """Centre of the ball round the whole hand, where there is one."""
-    last = centre_in.shape[1] - 1
-    return centre_in[m, last]
 
 
 @wp.func
@@ -255,25 +114,19 @@ def self_gap(
     return least
 
 
-@wp.kernel
-def clear_alone(
-    # Arm and hand:
+@wp.func
+def alone_gaps(
     spheres: SphereArrays,
     hand: HandArrays,
-    # Object, one pose per row of configurations:
     field: DistanceField,
     around: ObjectArrays,
-    # Configurations in, and the row of hands and objects that each is of:
     centre_in: wp.array2d(dtype=wp.vec3),
-    row_in: wp.array(dtype=int),
-    # Larger clearances are given as this:
+    m: int,
+    n: int,
     most: float,
-    # Clearances out, from table, object and itself:
-    gap_out: wp.array2d(dtype=float),
-):
+    enough: float,
+) -> wp.vec3:
     """Least clearance of one arm from table, object, and itself with the fixtures."""
-    m = wp.tid()
-    n = row_in[m]
     table = most
     near = most
     itself = most
@@ -302,39 +155,35 @@ def clear_alone(
                     near = wp.min(near, object_gap(field, around, n, p, r))
                 if by_fixture:
                     itself = wp.min(itself, fixture_gap(spheres, p, r))
-    gap_out[0, m] = table
-    gap_out[1, m] = near
-    gap_out[2, m] = self_gap(spheres, hand, centre_in, m, n, itself)
+            if wp.min(table, wp.min(near, itself)) < enough:
+                return wp.vec3(table, near, itself)
+    return wp.vec3(table, near, self_gap(spheres, hand, centre_in, m, n, itself))
 
 
-@wp.func
-def whole_ball(
+@wp.kernel
+def clear_alone(
+    # Arm and hand:
+    chain: ChainArrays,
     spheres: SphereArrays,
     hand: HandArrays,
-    centre_in: wp.array2d(dtype=wp.vec3),
-    m: int,
-    n: int,
-    g: int,
+    # Object, one pose per row of configurations:
+    field: DistanceField,
+    around: ObjectArrays,
+    # Configurations in, and the row of hands and objects that each is of:
+    q_in: wp.array2d(dtype=float),
+    row_in: wp.array(dtype=int),
+    # Larger clearances are given as this, and one below this ends the look:
+    most: float,
+    enough: float,
+    # Centres of spheres and balls, and clearances from table, object and itself out:
+    centre_out: wp.array2d(dtype=wp.vec3),
+    gap_out: wp.array(dtype=wp.vec3),
 ):
-    """Ball round group g of an arm, or round its whole hand where g is the number of those."""
-    at = spheres.radius.shape[0] + g
-    wide = float(-FAR)
-    if g < spheres.group_joint.shape[0]:
-        wide = spheres.group_radius[g]
-    elif hand.radius.shape[0] > 0:
-        at = centre_in.shape[1] - 1
-        wide = hand.whole_radius[n]
-    else:
-        at = 0
-    return centre_in[m, at], wide
-
-
-@wp.func
-def end_of_parts(spheres: SphereArrays, hand: HandArrays, g: int) -> int:
-    """Behind the last part of group g of an arm, or of its hand where g is the number of those."""
-    if g < spheres.group_joint.shape[0]:
-        return g + 1
-    return part_total(spheres, hand)
+    """Least clearance of one arm from table, object, and itself with the fixtures."""
+    m = wp.tid()
+    n = row_in[m]
+    place_spheres(chain, spheres, hand, q_in, m, n, centre_out)
+    gap_out[m] = alone_gaps(spheres, hand, field, around, centre_out, m, n, most, enough)
 
 
 @wp.func
@@ -372,39 +221,32 @@ def gap_of_parts(
     return least
 
 
-@wp.kernel
-def clear_of_each_other(
-    # Arms and hands:
+@wp.func
+def gap_between(
     left: SphereArrays,
     right: SphereArrays,
     left_hand: HandArrays,
     right_hand: HandArrays,
-    # Configurations in, and the row of hands that each is of:
     left_in: wp.array2d(dtype=wp.vec3),
     right_in: wp.array2d(dtype=wp.vec3),
-    left_row_in: wp.array(dtype=int),
-    right_row_in: wp.array(dtype=int),
-    # Which of each arm's are taken together:
-    pair_in: wp.array2d(dtype=int),
-    # Larger clearances are given as this:
+    a: int,
+    b: int,
+    n: int,
+    l: int,
     most: float,
-    # Clearances out:
-    gap_out: wp.array(dtype=float),
-):
-    """Least clearance between two arms with their hands."""
-    m = wp.tid()
-    a = pair_in[m, 0]
-    b = pair_in[m, 1]
+    enough: float,
+) -> float:
+    """Least clearance between configurations a and b of two arms with their hands, of rows n and l."""
     left_arm = left.group_joint.shape[0]
     right_arm = right.group_joint.shape[0]
     least = most
     for part in range(left_arm + 1):
         # The hand first, as one, then links from the last on.
         g = left_arm - part
-        p, wide = whole_ball(left, left_hand, left_in, a, left_row_in[a], g)
+        p, wide = whole_ball(left, left_hand, left_in, a, n, g)
         for behind in range(right_arm + 1):
             h = right_arm - behind
-            x, broad = whole_ball(right, right_hand, right_in, b, right_row_in[b], h)
+            x, broad = whole_ball(right, right_hand, right_in, b, l, h)
             if wp.length(p - x) - wide - broad < least:
                 least = gap_of_parts(
                     left,
@@ -415,28 +257,84 @@ def clear_of_each_other(
                     right_in,
                     a,
                     b,
-                    left_row_in[a],
-                    right_row_in[b],
+                    n,
+                    l,
                     g,
                     h,
                     least,
                 )
-    gap_out[m] = least
+                if least < enough:
+                    return least
+    return least
 
 
 @wp.kernel
-def ways_of_spheres(
-    # Centres of spheres and balls at configurations that follow each other:
-    centre_in: wp.array2d(dtype=wp.vec3),
-    # Largest way of one of them to the next configuration out:
-    way_out: wp.array(dtype=float),
+def clear_of_each_other(
+    # Arms and hands:
+    left: SphereArrays,
+    right: SphereArrays,
+    left_hand: HandArrays,
+    right_hand: HandArrays,
+    # Centres at configurations in, and the row of hands that each is of:
+    left_in: wp.array2d(dtype=wp.vec3),
+    right_in: wp.array2d(dtype=wp.vec3),
+    left_row_in: wp.array(dtype=int),
+    right_row_in: wp.array(dtype=int),
+    # Which of each arm's are taken together:
+    pair_in: wp.array2d(dtype=int),
+    # Larger clearances are given as this, and one below this ends the look:
+    most: float,
+    enough: float,
+    # Clearances out:
+    gap_out: wp.array(dtype=float),
 ):
-    """How far the spheres of an arm and its hand go from one configuration to the next."""
+    """Least clearance between two arms with their hands."""
     m = wp.tid()
-    longest = float(0.0)
-    for k in range(centre_in.shape[1]):
-        longest = wp.max(longest, wp.length_sq(centre_in[m + 1, k] - centre_in[m, k]))
-    way_out[m] = wp.sqrt(longest)
+    a = pair_in[m, 0]
+    b = pair_in[m, 1]
+    n = left_row_in[a]
+    l = right_row_in[b]
+    gap_out[m] = gap_between(
+        left, right, left_hand, right_hand, left_in, right_in, a, b, n, l, most, enough
+    )
+
+
+@wp.kernel
+def clear_together(
+    # Arms and hands:
+    left_chain: ChainArrays,
+    right_chain: ChainArrays,
+    left: SphereArrays,
+    right: SphereArrays,
+    left_hand: HandArrays,
+    right_hand: HandArrays,
+    # Object, one pose per row of configurations:
+    field: DistanceField,
+    around: ObjectArrays,
+    # Configurations in, and the row of hands and objects that each is of:
+    left_q_in: wp.array2d(dtype=float),
+    right_q_in: wp.array2d(dtype=float),
+    row_in: wp.array(dtype=int),
+    # Larger clearances are given as this, between the arms and of each alone:
+    apart_most: float,
+    alone_most: float,
+    # Centres of spheres and balls out, and clearances between the arms, of the left and of the right:
+    left_out: wp.array2d(dtype=wp.vec3),
+    right_out: wp.array2d(dtype=wp.vec3),
+    gap_out: wp.array(dtype=wp.vec3),
+):
+    """Least clearance between two arms with their hands, and of each from all else."""
+    m = wp.tid()
+    n = row_in[m]
+    none = float(-FAR)
+    place_spheres(left_chain, left, left_hand, left_q_in, m, n, left_out)
+    place_spheres(right_chain, right, right_hand, right_q_in, m, n, right_out)
+    apart = gap_between(
+        left, right, left_hand, right_hand, left_out, right_out, m, m, n, n, apart_most, none
+    )
+    one = alone_gaps(left, left_hand, field, around, left_out, m, n, alone_most, none)
+    other = alone_gaps(right, right_hand, field, around, right_out, m, n, alone_most, none)
+    gap_out[m] = wp.vec3(apart, wp.min(one), wp.min(other))
 
 
 @wp.kernel

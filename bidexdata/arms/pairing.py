@@ -30,6 +30,9 @@ from bidexdata.record.status import Status
 APART, STEADY, SPOKEN = FREE + 1, FREE + 2, FREE + 3
 """Gates at which a pair of candidates that have ways from home ends: the arms meet, a step is too large,
 MuJoCo has spoken."""
+_FEW = 4
+"""Pairs of a grasp that are looked at together, after its first; what is found is what one after the
+other would find [-]."""
 
 
 class Pairing:
@@ -87,28 +90,38 @@ class Pairing:
             self._todo & np.any(ready, axis=(1, 2)) & (self._tries < self._config.search.pairs)
         )
 
-    def _best(self, rows: np.ndarray) -> np.ndarray:
-        """The best open pair of each of some grasps, (R, 2); it is open no more."""
+    def _next_pairs(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The best open pairs of some grasps: one at first, then a few, row by row and best first."""
         ready = self._open[rows] & self._home[0].ok[rows][:, :, None]
         ready &= self._home[1].ok[rows][:, None]
         cost = np.where(ready, self._cost[rows], np.inf).reshape(len(rows), -1)
-        picks = np.stack(np.divmod(cost.argmin(axis=1), self._open.shape[2]), axis=1)
-        self._open[rows, picks[:, 0], picks[:, 1]] = False
-        self._tries[rows] += 1
-        return picks
+        order = cost.argsort(axis=1, kind="stable")[:, :_FEW]
+        few = np.minimum(self._config.search.pairs - self._tries[rows], _FEW)
+        few[self._tries[rows] == 0] = 1
+        taken = np.arange(order.shape[1]) < few[:, None]
+        taken &= np.isfinite(np.take_along_axis(cost, order, axis=1))
+        picks = np.stack(np.divmod(order[taken], self._open.shape[2]), axis=1)
+        return np.repeat(rows, taken.sum(axis=1)), picks
 
     def _try(self, made: ArmSolutions, rows: np.ndarray) -> None:
-        """Try the next pair of each of some grasps."""
-        picks, config = self._best(rows), self._config
+        """Try the next pairs of each of some grasps, up to one whose arms stay apart."""
+        config = self._config
+        rows, picks = self._next_pairs(rows)
         way = [home.path[rows, picks[:, h]] for h, home in enumerate(self._home)]
         on = [side.q[rows, picks[:, h], 1:] for h, side in enumerate(self._sides)]
-        apart = self._apart(rows, way)
-        self._wait(rows, picks, way, apart)
         # Behind the approach hands are where the grasp has them.
         behind = look(self._robot, rows, on, self._around, config, with_hands=False)
-        apart &= behind.least_apart(len(rows)) >= config.clearance.margin
-        self._stop(made, rows, picks, ~apart, APART, Status.COLLISION_ARMS)
-        kept = np.flatnonzero(apart)
+        apart = behind.least_apart(len(rows)) >= config.clearance.margin
+        self._come(rows, picks, way, apart)
+        first = np.searchsorted(rows, rows)
+        before = np.cumsum(apart) - apart
+        tried = before == before[first]
+        self._open[rows[tried], picks[tried, 0], picks[tried, 1]] = False
+        np.add.at(self._tries, rows[tried], 1)
+        # All that meet end at the same gate: the first of a grasp stands for them.
+        met = ~apart & (first == np.arange(len(rows)))
+        self._stop(made, rows, picks, met, APART, Status.COLLISION_ARMS)
+        kept = np.flatnonzero(apart & tried)
         rows, picks = rows[kept], picks[kept]
         if not len(rows):
             return
@@ -121,6 +134,23 @@ class Pairing:
         if len(some):
             looks = _joined(before.of_motions(some), behind.of_motions(kept[some]), config)
             self._speak(made, rows[some], picks[some], [path[some] for path in paths], looks)
+
+    def _come(
+        self, rows: np.ndarray, picks: np.ndarray, way: list[np.ndarray], apart: np.ndarray
+    ) -> None:
+        """Look at ways from home that both arms go, at once or one after the other.
+
+        Writes to `way`, and to `apart` where arms meet.
+        """
+        some = np.flatnonzero(apart)
+        if not len(some):
+            return
+        ways = [path[some] for path in way]
+        clear = self._apart(rows[some], ways)
+        self._wait(rows[some], picks[some], ways, clear)
+        apart[some] = clear
+        for path, better in zip(way, ways, strict=True):
+            path[some] = better
 
     def _speak(
         self,
@@ -166,7 +196,9 @@ class Pairing:
         margin = self._config.clearance.margin
         left, right, of = _flat(rows, paths)
         gaps = apart_at(
-            *(self._robot.arms, left, right, (of, of), self._around), most=just_above(margin)
+            *(self._robot.arms, left, right, (of, of), self._around),
+            most=just_above(margin),
+            enough=margin,
         )
         return np.asarray(gaps.reshape(paths[0].shape[:2]).min(axis=1) >= margin)
 

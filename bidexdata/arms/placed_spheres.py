@@ -22,49 +22,64 @@ _TOGETHER = 6
 """Spheres of a link that a ball is put round, at most [-]."""
 
 
-class PlacedArm(NamedTuple):
-    """One arm with its hand at M configurations, on a device."""
+class PosedArm(NamedTuple):
+    """One arm with its hand at M configurations, on a device, for kernels that place its spheres."""
 
+    chain: Any
+    """`ChainArrays` of the arm."""
     spheres: Any
     """`SphereArrays` of the arm."""
     hand: Any
     """`HandArrays` of its hand."""
-    rows: Any
-    """Row of the surroundings that each configuration is of, (M,)."""
+    q: Any
+    """Joint angles [rad], (M, A)."""
     centre: Any
-    """Centres of spheres and balls in the world [m], (M, K)."""
+    """Room for the centres of spheres and balls in the world [m], (M, K)."""
 
 
-def place_arm(
-    arm: Arm, q: Float[np.ndarray, "M A"], rows: Any, hand: Any, device: str
-) -> PlacedArm:
-    """Place the spheres of an arm and its hand.
+def pose_arm(arm: Arm, q: Float[np.ndarray, "M A"], hand: Any, device: str) -> PosedArm:
+    """Put configurations of an arm on a device; the centres are not there yet.
 
     Args:
         arm: The arm.
         q: Configurations [rad].
-        rows: On the device, the row of `hand` that each is of.
         hand: `HandArrays`.
         device: A Warp device.
     """
     import warp as wp
-
-    from bidexdata.arms.clearance_kernels import place_arm_spheres
 
     spheres = _spheres_on_device(arm, device)
     held = hand.radius.shape[0]
     of_hand = held + hand.ball_radius.shape[1] + 1 if held else 0
     width = len(arm.spheres.radius) + spheres.group_joint.shape[0] + of_hand
     vector: Any = wp.vec3
-    centre = wp.empty((len(q), width), dtype=vector, device=device)
-    angles = wp.array(np.ascontiguousarray(q, np.float32), dtype=float, device=device)
+    return PosedArm(
+        chain_on_device(arm.chain, device),
+        spheres,
+        hand,
+        wp.array(np.ascontiguousarray(q, np.float32), dtype=float, device=device),
+        wp.empty((len(q), width), dtype=vector, device=device),
+    )
+
+
+def place_arm(posed: PosedArm, rows: Any, device: str) -> None:
+    """Place the spheres of an arm and its hand; writes to its centres.
+
+    Args:
+        posed: The arm.
+        rows: On the device, the row of the hand that each configuration is of.
+        device: A Warp device.
+    """
+    import warp as wp
+
+    from bidexdata.arms.sphere_kernels import place_arm_spheres
+
     wp.launch(
         place_arm_spheres,
-        dim=len(q),
-        inputs=[chain_on_device(arm.chain, device), spheres, hand, angles, rows, centre],
+        dim=rows.shape[0],
+        inputs=[posed.chain, posed.spheres, posed.hand, posed.q, rows, posed.centre],
         device=device,
     )
-    return PlacedArm(spheres, hand, rows, centre)
 
 
 @lru_cache(maxsize=16)
@@ -72,7 +87,7 @@ def _spheres_on_device(arm: Arm, device: str) -> Any:
     start_warp()
     import warp as wp
 
-    from bidexdata.arms.clearance_kernels import SphereArrays
+    from bidexdata.arms.sphere_kernels import SphereArrays
 
     def numbers(values: Any, dtype: Any = int) -> Any:
         kind = np.int32 if dtype is int else np.float32

@@ -77,7 +77,7 @@ class Surroundings:
 def _hands_on_device(hands: HeldHands, device: str) -> Any:
     import warp as wp
 
-    from bidexdata.arms.clearance_kernels import HandArrays
+    from bidexdata.arms.sphere_kernels import HandArrays
 
     arrays, shape = HandArrays(), hands.pos.shape[:2]
     first = np.arange(0, shape[1], _TOGETHER)
@@ -112,7 +112,7 @@ def nothing_held(device: str) -> Any:
     """`HandArrays` of an arm whose hand does not count."""
     import warp as wp
 
-    from bidexdata.arms.clearance_kernels import HandArrays
+    from bidexdata.arms.sphere_kernels import HandArrays
 
     arrays = HandArrays()
     arrays.pos = wp.zeros((0, 0), dtype=wp.vec3, device=device)

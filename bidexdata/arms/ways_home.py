@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from bidexdata.arms.chain import chain_forward
-from bidexdata.arms.clearance import clear_at
+from bidexdata.arms.clearance import FAR, clear_at
 from bidexdata.arms.config import ArmConfig, just_above
 from bidexdata.arms.inverse_kinematics import follow
 from bidexdata.arms.planner import planning, resampled, together, way_length
@@ -133,8 +133,10 @@ class WaysHome:
             planning(chain.rest, self._goals[n, c], chain.lower, chain.upper, search) for n, c in at
         ]
 
+        margin = self._config.clearance.margin
+
         def free(q: np.ndarray, of: np.ndarray) -> np.ndarray:
-            return self._gap(q, row[of])[0] >= self._config.clearance.margin
+            return self._gap(q, row[of], enough=margin)[0] >= margin
 
         ways = zip(at, together(plans, free), strict=True)
         self._look([self._tried(n, c, way) for (n, c), way in ways if way is not None])
@@ -178,9 +180,11 @@ class WaysHome:
         at = np.arange(count), gap.reshape(count, knots).argmin(axis=1)
         return gap.reshape(count, knots)[at], kind.reshape(count, knots)[at]
 
-    def _gap(self, q: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _gap(
+        self, q: np.ndarray, rows: np.ndarray, enough: float = -FAR
+    ) -> tuple[np.ndarray, np.ndarray]:
         most = just_above(self._config.clearance.margin)
-        found = clear_at(self._arm, q, rows, self._around, self._side, most=most)
+        found = clear_at(self._arm, q, rows, self._around, self._side, most=most, enough=enough)
         return found.min(axis=0), _KINDS[found.argmin(axis=0)]
 
 

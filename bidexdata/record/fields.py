@@ -127,7 +127,7 @@ _ALL = (
     _f("ik_error_pos", "float32", "H K", "m", "world", "arms", "arms", "distance of the origin of the hand frame, at the stored angles, from where the key frame has it; at the palm frame it may differ by what ik_error_rot turns the way there, at most 0.5 mm for Shadow; NaN at home"),
     _f("ik_error_rot", "float32", "H K", "rad", "world", "arms", "arms", "angle between the same hand frames, which is that between palm frames"),
     _f("arm_step", "float32", "", "rad", "", "arms", "arms", "largest turn of a joint from knot to knot"),
-    _f("clear_table", "float32", "", "m", "", "arms", "arms", "least signed distance to the table by MuJoCo over the motion, at its knots and between them where something is near: of arms always, of hands from home to the pre-grasp; larger ones than 0.02 m are that"),
+    _f("clear_table", "float32", "", "m", "", "arms", "arms", "least signed distance to the table by MuJoCo over the motion, at its knots and between them where something is near: of arms always, of hands from home to the pre-grasp; larger ones than 0.01 m are that"),
     _f("clear_object", "float32", "", "m", "", "arms", "arms", "the same to the object: of arms always, of hands from home to the pre-grasp"),
     _f("clear_arms", "float32", "", "m", "", "arms", "arms", "the same between the two arms, and from each to the other's hand; between the hands from home to the pre-grasp"),
     _f("clear_self", "float32", "", "m", "", "arms", "arms", "the same within one arm with its hand, and to the rig's fixtures; without a hand's own forearm and wrist against it, which are as near in every posture"),

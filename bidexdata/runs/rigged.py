@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 _KERNELS = (
     "bidexdata.arms.chain_kernels",
     "bidexdata.arms.ik_kernels",
+    "bidexdata.arms.sphere_kernels",
     "bidexdata.arms.clearance_kernels",
 )
 
