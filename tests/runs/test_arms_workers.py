@@ -33,7 +33,7 @@ def solved(run: Run, rig: str, *executor: str) -> dict[str, bytes]:
 def assert_workers_change_nothing(library: Path, folder: Path, rig: str, hand: str) -> Run:
     found = []
     for how in (("inline",), ("processes", "--workers", "2")):
-        run = made_run(library, folder / how[0], hand=hand)
+        run = made_run(library, folder / how[0], sizes=(300, 400, 500, 600), hand=hand)
         found.append(solved(run, rig, "--executor", *how))
     assert len(found[0]) == len(run.tasks) > 1
     assert found[0] == found[1]
@@ -53,7 +53,7 @@ def assert_grasps_are_taken(run: Run) -> None:
             pos, _ = chain_forward(arm.chain, q.astype(float))
             off = np.linalg.norm(pos - rows["hand_pos"][ok, h, 1], axis=-1)
             assert off.max(initial=0.0) < 1e-3
-    assert count >= 2
+    assert count >= 2, count
 
 
 @pytest.mark.slow
