@@ -11,6 +11,7 @@ wp.set_module_options({"enable_backward": False})
 MOST = wp.constant(10)
 Angles = wp.types.vector(length=10, dtype=float)
 Triples = wp.types.matrix(shape=(10, 3), dtype=float)
+Slope = wp.types.matrix(shape=(10, 6), dtype=float)
 Six = wp.types.vector(length=6, dtype=float)
 Square = wp.types.matrix(shape=(6, 6), dtype=float)
 NEAR_HALF_TURN = wp.constant(-0.99)
@@ -24,6 +25,22 @@ class ChainArrays:
     before_pos: wp.array(dtype=wp.vec3)
     before_rot: wp.array(dtype=wp.mat33)
     axis: wp.array(dtype=wp.vec3)
+    end_pos: wp.vec3
+    end_rot: wp.mat33
+    count: int
+
+
+@wp.struct
+class TwistedArrays:
+    """One chain on a device, as `TwistedChain` has it, float32."""
+
+    first_x: wp.vec3
+    first_y: wp.vec3
+    first_z: wp.vec3
+    before_pos: wp.array(dtype=wp.vec3)
+    twist: wp.array(dtype=wp.vec2)
+    """Cosines and sines."""
+    offset: wp.array(dtype=wp.vec2)
     lower: wp.array(dtype=float)
     upper: wp.array(dtype=float)
     rest: wp.array(dtype=float)
@@ -88,37 +105,31 @@ def chain_end(chain: ChainArrays, q: Angles):
 
 @wp.func
 def solve_square(A: Square, damping: float, b: Six):
-    """Solve (A + damping I) x = b for a symmetric positive matrix by Cholesky's method.
+    """Solve (A + damping I) x = b for a symmetric positive matrix by elimination, A = U^T D U.
 
-    Returns x and the product of the factor's diagonal, which is the root of the determinant.
+    Returns x and the root of the determinant.
     """
-    L = Square()
-    root = float(1.0)
-    for i in range(6):
-        for j in range(i + 1):
-            total = A[i, j]
-            for k in range(j):
-                total = total - L[i, k] * L[j, k]
-            if i == j:
-                pivot = wp.sqrt(wp.max(total + damping, 1.0e-12))
-                L[i, i] = pivot
-                root = root * pivot
-            else:
-                L[i, j] = total / L[j, j]
-    y = Six()
-    for i in range(6):
-        total = b[i]
-        for k in range(i):
-            total = total - L[i, k] * y[k]
-        y[i] = total / L[i, i]
+    left = A
+    upper = Square()
+    right = b
     x = Six()
-    for back in range(6):
-        i = 5 - back
-        total = y[i]
-        for k in range(i + 1, 6):
-            total = total - L[k, i] * x[k]
-        x[i] = total / L[i, i]
-    return x, root
+    det = float(1.0)
+    for k in range(6):
+        row = left[k]
+        pivot = wp.max(row[k] + damping, 1.0e-12)
+        det = det * pivot
+        share = row / pivot
+        x[k] = right[k] / pivot
+        right = right - right[k] * share
+        left = left - wp.outer(row, share)
+        upper[k] = share
+    for back in range(1, 6):
+        k = 5 - back
+        total = x[k]
+        for i in range(k + 1, 6):
+            total = total - upper[k, i] * x[i]
+        x[k] = total
+    return x, wp.sqrt(det)
 
 
 @wp.kernel

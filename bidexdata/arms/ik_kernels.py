@@ -9,13 +9,13 @@ import warp as wp
 
 from bidexdata.arms.chain_kernels import (
     Angles,
-    ChainArrays,
     Six,
+    Slope,
     Square,
     Triples,
+    TwistedArrays,
     so3_log,
     solve_square,
-    turn_about,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -47,82 +47,87 @@ class Linear:
     """A posture's error and its slope."""
 
     error: Six
-    moved: Triples
-    """Velocity of the hand's origin per joint speed [m/rad], (A, 3)."""
-    turned: Triples
-    """Angular velocity per joint speed, times length [m/rad], (A, 3)."""
+    slope: Slope
+    """Per joint the velocity of the hand's origin, and the angular velocity times length [m/rad]."""
 
 
 @wp.func
-def linearise(chain: ChainArrays, length: float, q: Angles, pos: wp.vec3, rot: wp.mat33) -> Linear:
-    """Error of posture q against a target, and the columns of the Jacobian."""
+def linearise(
+    chain: TwistedArrays, length: float, q: Angles, pos: wp.vec3, rot: wp.mat33
+) -> Linear:
+    """Error of posture q against a target, and the Jacobian."""
     out = Linear()
     at = wp.vec3(0.0, 0.0, 0.0)
-    turn = wp.identity(n=3, dtype=float)
+    x = chain.first_x
+    y = chain.first_y
+    z = chain.first_z
+    origins = Triples()
+    axes = Triples()
     for j in range(chain.count):
-        at = at + turn * chain.before_pos[j]
-        turn = turn * chain.before_rot[j] * turn_about(chain.axis[j], q[j])
-        axis = turn * chain.axis[j]
-        for i in range(3):
-            out.moved[j, i] = at[i]
-            out.turned[j, i] = axis[i]
-    end = at + turn * chain.end_pos
-    turn = turn * chain.end_rot
+        before = chain.before_pos[j]
+        at = at + before[0] * x + before[1] * y + before[2] * z
+        twist = chain.twist[j]
+        up = twist[0] * y + twist[1] * z
+        z = twist[0] * z - twist[1] * y
+        along = wp.cos(q[j])
+        across = wp.sin(q[j])
+        offset = chain.offset[j]
+        c = offset[0] * along - offset[1] * across
+        s = offset[1] * along + offset[0] * across
+        y = c * up - s * x
+        x = c * x + s * up
+        origins[j] = at
+        axes[j] = z
+    end = at + chain.end_pos[0] * x + chain.end_pos[1] * y + chain.end_pos[2] * z
     for j in range(chain.count):
-        axis = wp.vec3(out.turned[j, 0], out.turned[j, 1], out.turned[j, 2])
-        origin = wp.vec3(out.moved[j, 0], out.moved[j, 1], out.moved[j, 2])
-        column = wp.cross(axis, end - origin)
-        for i in range(3):
-            out.moved[j, i] = column[i]
-            out.turned[j, i] = length * axis[i]
+        axis = axes[j]
+        moved = wp.cross(axis, end - origins[j])
+        out.slope[j] = Six(
+            moved[0], moved[1], moved[2], length * axis[0], length * axis[1], length * axis[2]
+        )
     off = pos - end
+    turn = wp.matrix_from_cols(x, y, z) * chain.end_rot
     log = length * so3_log(rot * wp.transpose(turn))
-    for i in range(3):
-        out.error[i] = off[i]
-        out.error[3 + i] = log[i]
+    out.error = Six(off[0], off[1], off[2], log[0], log[1], log[2])
     return out
 
 
 @wp.func
-def column_of(slope: Linear, j: int) -> Six:
-    """One column of the Jacobian."""
-    c = Six()
-    for i in range(3):
-        c[i] = slope.moved[j, i]
-        c[3 + i] = slope.turned[j, i]
-    return c
+def missed(here: Linear, length: float):
+    """By how much a posture misses: metres and radians."""
+    off = wp.length(wp.vec3(here.error[0], here.error[1], here.error[2]))
+    twist = wp.length(wp.vec3(here.error[3], here.error[4], here.error[5])) / length
+    return off, twist
 
 
 @wp.func
 def damped_step(
-    chain: ChainArrays, rules: IkRules, q: Angles, slope: Linear, damping: float, pull: float
+    chain: TwistedArrays, rules: IkRules, q: Angles, here: Linear, damping: float, pull: float
 ) -> Angles:
     """The step that lowers the error: J^T (J J^T + damping I)^-1 (e - J r) + r, r the pull to rest.
 
     Joints at a limit that the error pushes outward stand still.
     """
     A = Square()
-    wanted = slope.error
-    step = Angles()
-    active = Angles()
+    wanted = here.error
+    slope = here.slope
+    rest = Angles()
     for j in range(chain.count):
-        c = column_of(slope, j)
-        slant = wp.dot(c, slope.error)
+        c = slope[j]
+        slant = wp.dot(c, here.error)
         outward = (q[j] <= chain.lower[j] and slant < 0.0) or (
             q[j] >= chain.upper[j] and slant > 0.0
         )
-        if not outward:
-            active[j] = 1.0
-            rest = pull * (chain.rest[j] - q[j])
-            step[j] = rest
-            wanted = wanted - rest * c
-            for i in range(6):
-                for k in range(i + 1):
-                    A[i, k] = A[i, k] + c[i] * c[k]
+        if outward:
+            slope[j] = Six()
+        else:
+            rest[j] = pull * (chain.rest[j] - q[j])
+            wanted = wanted - rest[j] * c
+            A = A + wp.outer(c, c)
     x, _root = solve_square(A, damping, wanted)
+    step = slope * x + rest
     most = float(0.0)
     for j in range(chain.count):
-        step[j] = step[j] + active[j] * wp.dot(column_of(slope, j), x)
         most = wp.max(most, wp.abs(step[j]))
     if most > rules.largest_step:
         step = (rules.largest_step / most) * step
@@ -131,29 +136,28 @@ def damped_step(
 
 @wp.func
 def descend(
-    chain: ChainArrays,
+    chain: TwistedArrays,
     rules: IkRules,
     start: Angles,
     pos: wp.vec3,
     rot: wp.mat33,
     pull: float,
 ):
-    """Lower the error from a start; returns q, its error of position and rotation, iterations."""
+    """Lower the error from a start; returns q, its error and slope, iterations."""
     q = start
-    slope = linearise(chain, rules.length, q, pos, rot)
-    size = wp.length(slope.error)
+    here = linearise(chain, rules.length, q, pos, rot)
+    size = wp.length(here.error)
     damping = rules.damping
     used = wp.int32(0)
     for step_number in range(rules.iterations):
-        off = wp.length(wp.vec3(slope.error[0], slope.error[1], slope.error[2]))
-        twist = wp.length(wp.vec3(slope.error[3], slope.error[4], slope.error[5])) / rules.length
+        off, twist = missed(here, rules.length)
         if (off <= rules.tolerance_pos and twist <= rules.tolerance_rot) or (
             damping > LARGEST_DAMPING
         ):
             break
         used = step_number + 1
         gain = pull * wp.min(size / PULL_FADES, 1.0)
-        step = damped_step(chain, rules, q, slope, damping, gain)
+        step = damped_step(chain, rules, q, here, damping, gain)
         tried = Angles()
         for j in range(chain.count):
             tried[j] = wp.clamp(q[j] + step[j], chain.lower[j], chain.upper[j])
@@ -161,27 +165,18 @@ def descend(
         length = wp.length(there.error)
         if length < size:
             q = tried
-            slope = there
+            here = there
             size = length
             damping = wp.max(damping * rules.damp_less, 1.0e-7)
         else:
             damping = damping * rules.damp_more
-    off = wp.length(wp.vec3(slope.error[0], slope.error[1], slope.error[2]))
-    twist = wp.length(wp.vec3(slope.error[3], slope.error[4], slope.error[5])) / rules.length
-    return q, off, twist, used
+    return q, here, used
 
 
 @wp.func
-def dexterity(chain: ChainArrays, length: float, q: Angles) -> float:
-    """Manipulability: root of det(J J^T), turns weighted by `length`."""
-    slope = linearise(chain, length, q, wp.vec3(0.0, 0.0, 0.0), wp.identity(n=3, dtype=float))
-    A = Square()
-    for j in range(chain.count):
-        c = column_of(slope, j)
-        for i in range(6):
-            for k in range(i + 1):
-                A[i, k] = A[i, k] + c[i] * c[k]
-    _x, root = solve_square(A, 0.0, Six())
+def dexterity(here: Linear) -> float:
+    """Manipulability: root of det(J J^T), turns weighted by the length."""
+    _x, root = solve_square(wp.transpose(here.slope) * here.slope, 0.0, Six())
     return root
 
 
@@ -221,7 +216,7 @@ def pick_starts(
 @wp.kernel
 def solve_every_start(
     # Chain and rules:
-    chain: ChainArrays,
+    chain: TwistedArrays,
     rules: IkRules,
     # Problem in:
     start_in: wp.array2d(dtype=float),
@@ -240,19 +235,20 @@ def solve_every_start(
     start = Angles()
     for j in range(chain.count):
         start[j] = start_in[pick_in[n, s], j]
-    q, off, twist, used = descend(chain, rules, start, pos_in[n], rot_in[n], rules.rest_gain)
+    q, here, used = descend(chain, rules, start, pos_in[n], rot_in[n], rules.rest_gain)
+    off, twist = missed(here, rules.length)
     for j in range(chain.count):
         q_out[n, s, j] = q[j]
     error_pos_out[n, s] = off
     error_rot_out[n, s] = twist
-    manipulability_out[n, s] = dexterity(chain, rules.length, q)
+    manipulability_out[n, s] = dexterity(here)
     iterations_out[n, s] = used
 
 
 @wp.kernel
 def solve_until_first(
     # Chain and rules:
-    chain: ChainArrays,
+    chain: TwistedArrays,
     rules: IkRules,
     # Problem in:
     start_in: wp.array2d(dtype=float),
@@ -273,31 +269,32 @@ def solve_until_first(
     best_off = float(1.0e9)
     best_twist = float(1.0e9)
     least = float(1.0e9)
+    ease = float(0.0)
     total = wp.int32(0)
     tried = wp.int32(0)
     for s in range(pick_in.shape[1]):
         start = Angles()
         for j in range(chain.count):
             start[j] = start_in[pick_in[n, s], j]
-        q, off, twist, used = descend(chain, rules, start, pos_in[n], rot_in[n], rules.rest_gain)
+        q, here, used = descend(chain, rules, start, pos_in[n], rot_in[n], rules.rest_gain)
+        off, twist = missed(here, rules.length)
         tried = s + 1
         total = total + used
         size = off + rules.length * twist
-        if size < least:
+        good = off <= rules.accept_pos and twist <= rules.accept_rot
+        if good or size < least:
             least = size
             best = q
             best_off = off
             best_twist = twist
-        if off <= rules.accept_pos and twist <= rules.accept_rot:
-            best = q
-            best_off = off
-            best_twist = twist
+            ease = dexterity(here)
+        if good:
             break
     for j in range(chain.count):
         q_out[n, j] = best[j]
     error_pos_out[n] = best_off
     error_rot_out[n] = best_twist
-    manipulability_out[n] = dexterity(chain, rules.length, best)
+    manipulability_out[n] = ease
     iterations_out[n] = total
     tried_out[n] = tried
 
@@ -305,7 +302,7 @@ def solve_until_first(
 @wp.kernel
 def follow_path(
     # Chain and rules:
-    chain: ChainArrays,
+    chain: TwistedArrays,
     rules: IkRules,
     # Problem in:
     start_in: wp.array3d(dtype=float),
@@ -334,7 +331,8 @@ def follow_path(
         if going == 1:
             for j in range(chain.count):
                 guess[j] = wp.clamp(q[j] + onward[j], chain.lower[j], chain.upper[j])
-            there, off, twist, _used = descend(chain, rules, guess, pos_in[n, t], rot_in[n, t], 0.0)
+            there, here, _used = descend(chain, rules, guess, pos_in[n, t], rot_in[n, t], 0.0)
+            off, twist = missed(here, rules.length)
             onward = there - q
             most = float(0.0)
             for j in range(chain.count):

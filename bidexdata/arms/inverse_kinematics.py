@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from bidexdata.arms.chain import Chain, chain_forward
+from bidexdata.arms.chain_arrays import chain_on_device, floats_on_device, twisted_on_device
 from bidexdata.config import refuse_outside
 from bidexdata.devices import start_warp
 
@@ -173,7 +174,7 @@ def solve_ik(
         return IkSolutions(
             np.zeros((0, s, chain.joints)), none, none, none > 0, none, none.astype(np.int32)
         )
-    arrays, rules = chain_on_device(chain, device), _rules(config)
+    arrays, rules = twisted_on_device(chain, device), _rules(config)
     q = wp.empty((n, s, chain.joints), dtype=float, device=device)
     off, twist, ease = (wp.empty((n, s), dtype=float, device=device) for _ in range(3))
     used = wp.empty((n, s), dtype=int, device=device)
@@ -208,7 +209,7 @@ def solve_first(
         none = np.zeros(0)
         whole = none.astype(np.int32)
         return FirstSolutions(np.zeros((0, chain.joints)), none, none, none > 0, none, whole, whole)
-    arrays, rules = chain_on_device(chain, device), _rules(config)
+    arrays, rules = twisted_on_device(chain, device), _rules(config)
     q = wp.empty((n, chain.joints), dtype=float, device=device)
     off, twist, ease = (wp.empty(n, dtype=float, device=device) for _ in range(3))
     used, tried = (wp.empty(n, dtype=int, device=device) for _ in range(2))
@@ -271,7 +272,7 @@ def follow(
     wp.launch(
         follow_path,
         dim=(n, s),
-        inputs=[chain_on_device(chain, device), _rules(config), _floats(q, device), *where,
+        inputs=[twisted_on_device(chain, device), _rules(config), floats_on_device(q, device), *where,
                 out, off, twist, step, reached],
         device=device,
     )  # fmt: skip
@@ -289,40 +290,13 @@ def forward_on_device(
     arrays = chain_on_device(chain, device)
     pos = wp.zeros(len(q), dtype=wp.vec3, device=device)
     rot = wp.zeros(len(q), dtype=wp.mat33, device=device)
-    wp.launch(place_ends, dim=len(q), inputs=[arrays, _floats(q, device), pos, rot], device=device)
+    wp.launch(
+        place_ends,
+        dim=len(q),
+        inputs=[arrays, floats_on_device(q, device), pos, rot],
+        device=device,
+    )
     return _numbers(pos), _numbers(rot)
-
-
-@lru_cache(maxsize=16)
-def chain_on_device(chain: Chain, device: str) -> Any:
-    """Copy a chain to a device, once."""
-    start_warp()
-    import warp as wp
-
-    from bidexdata.arms.chain_kernels import ChainArrays
-
-    arrays = ChainArrays()
-    count = chain.joints
-    for name, dtype in (("before_pos", wp.vec3), ("before_rot", wp.mat33), ("axis", wp.vec3)):
-        values = np.ascontiguousarray(getattr(chain, name), np.float32)
-        setattr(arrays, name, wp.array(values, dtype=dtype, shape=(count,), device=device))
-    for name in ("lower", "upper", "rest"):
-        setattr(arrays, name, _floats(_inner(chain, name), device))
-    arrays.end_pos = wp.vec3(*map(float, chain.end_pos))
-    arrays.end_rot = wp.mat33(*map(float, chain.end_rot.ravel()))
-    arrays.count = count
-    return arrays
-
-
-def _inner(chain: Chain, name: str) -> np.ndarray:
-    """Limits in float32 that lie within those in float64."""
-    values = getattr(chain, name)
-    single = values.astype(np.float32)
-    if name == "lower":
-        return np.where(single < values, np.nextafter(single, np.float32(np.inf)), single)
-    if name == "upper":
-        return np.where(single > values, np.nextafter(single, np.float32(-np.inf)), single)
-    return single
 
 
 def _rules(config: IkConfig) -> Any:
@@ -339,7 +313,7 @@ def _rules(config: IkConfig) -> Any:
 def _pool(chain: Chain, count: int, device: str) -> list[Any]:
     """The postures of the pool and their hands' poses on a device, once."""
     postures = start_postures(chain, count)
-    return [_floats(postures, device), *_poses(*chain_forward(chain, postures), device)]
+    return [floats_on_device(postures, device), *_poses(*chain_forward(chain, postures), device)]
 
 
 def _problem(
@@ -358,7 +332,12 @@ def _problem(
     where, how = _poses(pos, rot, device)
     if starts is not None:
         order = np.tile(np.arange(len(starts), dtype=np.int32), (len(pos), 1))
-        return [_floats(starts, device), wp.array(order, dtype=int, device=device), where, how]
+        return [
+            floats_on_device(starts, device),
+            wp.array(order, dtype=int, device=device),
+            where,
+            how,
+        ]
     postures, end_pos, end_rot = _pool(chain, config.pool, device)
     pick = wp.empty((len(pos), config.starts), dtype=int, device=device)
     gap = wp.empty((len(pos), config.starts), dtype=float, device=device)
@@ -381,12 +360,6 @@ def _poses(pos: np.ndarray, rot: np.ndarray, device: str) -> list[Any]:
         np.ascontiguousarray(rot, np.float32), dtype=wp.mat33, shape=(len(rot),), device=device
     )
     return [where, how]
-
-
-def _floats(values: np.ndarray, device: str) -> Any:
-    import warp as wp
-
-    return wp.array(np.ascontiguousarray(values, np.float32), dtype=float, device=device)
 
 
 def _numbers(array: Any) -> np.ndarray:

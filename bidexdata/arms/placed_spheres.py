@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bidexdata.arms.arm_spheres import ArmSpheres
-from bidexdata.arms.inverse_kinematics import chain_on_device
+from bidexdata.arms.chain_arrays import chain_on_device
 from bidexdata.arms.robot import Arm
 from bidexdata.arms.surroundings import ROUNDING, vectors_on_device
 from bidexdata.devices import start_warp

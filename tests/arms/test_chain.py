@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 from made_rig import arm_xml
 
 from bidexdata.arms.assembly import arm_spec
-from bidexdata.arms.chain import chain_forward, chain_frames, chain_jacobian, read_chain
+from bidexdata.arms.chain import Chain, chain_forward, chain_frames, chain_jacobian, read_chain
 from bidexdata.arms.inverse_kinematics import forward_on_device
 from bidexdata.arms.robot import Arm, Robot
-from bidexdata.frames import quat_from_matrix, rotation_vector_from_quat
+from bidexdata.arms.twisted_chain import twisted
+from bidexdata.frames import (
+    matrix_from_quat,
+    quat_from_matrix,
+    quat_from_rotation_vector,
+    rotation_vector_from_quat,
+)
 from bidexdata.simulation.assembly import hand_prefix
 
 EXACT = 1e-9  # both engines count in float64
@@ -59,6 +67,40 @@ def test_the_kernels_place_the_hand_where_the_reference_does(robot, index, rng):
     expected = chain_forward(chain, q)
     np.testing.assert_allclose(pos, expected[0], atol=SINGLE)
     np.testing.assert_allclose(rot, expected[1], atol=SINGLE)
+
+
+def turns(axis: str, angles: np.ndarray) -> np.ndarray:
+    return matrix_from_quat(
+        quat_from_rotation_vector(angles[..., None] * np.eye(3)["xyz".index(axis)])
+    )
+
+
+def assert_twisted_is_the_same(chain: Chain, q: np.ndarray) -> None:
+    form = twisted(chain)
+    pos, rot = np.zeros((len(q), 3)), np.tile(form.first_rot, (len(q), 1, 1))
+    for j in range(chain.joints):
+        pos = pos + rot @ form.before_pos[j]
+        rot = rot @ turns("x", form.twist[j : j + 1]) @ turns("z", q[:, j] + form.offset[j])
+    expected = chain_forward(chain, q)
+    np.testing.assert_allclose(pos + rot @ form.end_pos, expected[0], atol=EXACT)
+    np.testing.assert_allclose(rot @ form.end_rot, expected[1], atol=EXACT)
+
+
+def test_a_twisted_chain_places_the_hand_where_the_chain_does(robot, rng):
+    for arm in robot.arms:
+        assert_twisted_is_the_same(arm.chain, postures(arm, rng))
+
+
+@pytest.mark.parametrize("slant", [0.0, 1e-12, 1e-8, 1e-3, 1.0])
+def test_a_twisted_chain_may_have_axes_of_any_direction(made, rng, slant):
+    chain = made.arms[0].chain
+    edges = [[0, 0, 1], [0, 0, 1], [0, 0, -1], [1, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0]]
+    axis = np.array(edges) + slant * rng.normal(size=(7, 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    random = matrix_from_quat(quat_from_rotation_vector(rng.normal(size=(7, 3))))
+    for before in (np.tile(np.eye(3), (7, 1, 1)), turns("y", np.full(7, np.pi / 2)), random):
+        some = replace(chain, axis=axis, before_rot=before)
+        assert_twisted_is_the_same(some, postures(made.arms[0], rng))
 
 
 def test_the_jacobian_is_the_central_difference(robot, rng):
