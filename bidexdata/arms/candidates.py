@@ -194,12 +194,19 @@ def _postures(
 ) -> IkSolutions:
     """Solve every target from starts whose hands are near it, and from starts near the rest.
 
-    The first find postures of every kind, the second those to which the way from home is short.
+    The first find postures of every kind, the second those to which the way from home is short; of
+    311 targets that the first did not solve the second solved none, so they are not asked.
     """
     near = solve_ik(arm.chain, pos, rot, config.ik, device=device)
+    some = near.ok.any(axis=1)
     starts = postures_near_rest(arm, config.search.near_rest, config.search.rest_spread)
-    short = solve_ik(arm.chain, pos, rot, config.ik, starts=starts, device=device)
-    return IkSolutions(*(np.concatenate(x, axis=1) for x in zip(short, near, strict=True)))
+    short = solve_ik(arm.chain, pos[some], rot[some], config.ik, starts=starts, device=device)
+    both = []
+    for one, other in zip(short, near, strict=True):
+        whole = np.zeros((len(pos), len(starts), *one.shape[2:]), one.dtype)
+        whole[some] = one
+        both.append(np.concatenate([whole, other], axis=1))
+    return IkSolutions(*both)
 
 
 def postures_near_rest(arm: Arm, count: int, spread: float) -> Float[np.ndarray, "S A"]:
@@ -257,7 +264,7 @@ def _follow(
     """Follow and check candidates that are clear at the grasp; writes to `part`."""
     g, pos, rot = way.grasp, way.poses.pos, way.poses.rot
     alive = part.gate == CLEAR
-    start = np.where(alive[:, :, None], part.q[:, :, g], arm.chain.rest)
+    start = np.where(alive[:, :, None], part.q[:, :, g], np.nan)
     back = follow(
         arm.chain, start, pos[:, g - 1 :: -1], rot[:, g - 1 :: -1], config.ik, device=device
     )

@@ -11,8 +11,9 @@ from bidexdata.arms.chain import Chain, chain_forward, chain_jacobian
 from bidexdata.arms.inverse_kinematics import IkConfig
 from bidexdata.frames import quat_from_matrix, rotation_vector_from_quat
 
-_LARGEST_DAMPING = 1e6
+_LARGEST_DAMPING = 10.0
 _PULL_FADES = 0.1
+_LOOK_EVERY, _STALLED, _NEARLY = 4, 0.95, 0.01
 
 
 class OneSolution(NamedTuple):
@@ -44,18 +45,23 @@ def descend_reference(
         config: How.
     """
     q, damping, used = start.copy(), config.damping, 0
-    error = _error(chain, q, pos, rot, config)
+    error, before = _error(chain, q, pos, rot, config), np.inf
     for number in range(config.iterations):
         off, twist = np.linalg.norm(error[:3]), np.linalg.norm(error[3:]) / config.length
         good = off <= config.tolerance_pos and twist <= config.tolerance_rot
         if good or damping > _LARGEST_DAMPING:
             break
+        size = float(np.linalg.norm(error))
+        if number and number % _LOOK_EVERY == 0:
+            if size > max(_NEARLY, _STALLED * before):
+                break
+            before = size
         used = number + 1
-        pull = config.rest_gain * min(float(np.linalg.norm(error)) / _PULL_FADES, 1.0)
+        pull = config.rest_gain * min(size / _PULL_FADES, 1.0)
         step = _step(chain, q, error, damping, pull, config)
         tried = np.clip(q + step, chain.lower, chain.upper)
         there = _error(chain, tried, pos, rot, config)
-        if np.linalg.norm(there) < np.linalg.norm(error):
+        if np.linalg.norm(there) < size:
             q, error, damping = tried, there, max(damping * config.damp_less, 1e-7)
         else:
             damping *= config.damp_more

@@ -243,7 +243,7 @@ def follow(
 
     Args:
         chain: The chain.
-        q: Postures to begin with [rad]; not part of the paths.
+        q: Postures to begin with [rad]; not part of the paths. From NaN there is none.
         pos: Origins of the hand frame at the waypoints [m].
         rot: Its orientations.
         config: How.

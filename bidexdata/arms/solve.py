@@ -146,7 +146,9 @@ def _attempt(
         for h, arm in enumerate(robot.arms)
     )
     made = no_solutions(robot, config, len(grasps.size), Status.OK)
-    made.arm_starts[:] = config.ik.starts + config.search.near_rest
+    for h, side in enumerate((left, right)):
+        more = config.search.near_rest * (side.gate > 0).any(axis=1)
+        made.arm_starts[:, h] = config.ik.starts + more
     _refuse(made, (left, right), config)
     pairing = Pairing(robot, scene_at, grasps, (left, right), around, config)
     pairing.solve(made)
