@@ -9,13 +9,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bidexdata.errors import NotUsable
 from bidexdata.runs.browse import Browsable, open_browsable
 from bidexdata.viewer.catalog import Catalog
-from bidexdata.viewer.page import FIELD_OF_VIEW, Page
+from bidexdata.viewer.page import Page
+from bidexdata.viewer.page_camera import PageCamera
 from bidexdata.viewer.server import (
     DEFAULT_HOST,
     DEFAULT_PORT,
@@ -73,14 +71,11 @@ def serve_source(
     catalog.preload()
     server = started(host, port)
     server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()  # beside the picture: floating, it hides a part of it
 
     def connected(client: viser.ClientHandle) -> None:
-        def aim(position: NDArray[np.float64], target: NDArray[np.float64]) -> None:
-            with client.atomic():
-                client.camera.fov = FIELD_OF_VIEW
-                client.camera.position, client.camera.look_at = position, target
-
-        pages[client.client_id] = Page(client.gui, client.scene, catalog, aim)
+        camera = PageCamera(client)
+        pages[client.client_id] = Page(client.gui, client.scene, catalog, camera.show)
 
     def gone(client: viser.ClientHandle) -> None:
         page = pages.pop(client.client_id, None)

@@ -11,11 +11,12 @@ from bidexdata.arms.robot_shapes import FIXTURE_LABEL, body_places, drawn_bodies
 from bidexdata.frames import quat_from_matrix
 from bidexdata.pictures.drawing import joined
 from bidexdata.viewer.nodes import add_part
+from bidexdata.viewer.view import box_corners
 
 if TYPE_CHECKING:
     import viser
 
-    from bidexdata.arms.motion import Moment, Motion
+    from bidexdata.arms.motion import Moment
     from bidexdata.arms.robot import Robot
 
 
@@ -53,14 +54,13 @@ class ArmNodes:
         self.base.visible = visible
 
 
-def reach_of_motion(motion: Motion) -> tuple[NDArray[np.float64], float]:
-    """Middle of the box that arms and hands move in, and half of its diagonal [m]."""
-    points = [np.asarray(motion.object_pos)]
-    for time in motion.key_time:
-        moment = motion.at(float(time))
-        for h in range(2):
-            places = body_places(motion.robot, h, moment.arms[h], moment.joints[h])
-            points.append(places.pos[1:])  # the first is the world
-    every = np.concatenate(points)
-    low, high = every.min(axis=0), every.max(axis=0)
-    return (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+def arm_corners(robot: Robot, moment: Moment) -> NDArray[np.float64]:
+    """Corners of boxes around the bodies of both arms, without the hands, (n, 3) [m]."""
+    found = []
+    for h in range(2):
+        places = body_places(robot, h, moment.arms[h], moment.joints[h])
+        for body in drawn_bodies(robot, h):
+            if body.label.endswith("_arm") and body.parts:
+                corners = box_corners(np.concatenate([part.vertices for part in body.parts]))
+                found.append(places.pos[body.number] + corners @ places.rot[body.number].T)
+    return np.concatenate(found)

@@ -21,8 +21,8 @@ from bidexdata.runs.browse import Browsable, open_browsable, rows_by_test
 from bidexdata.runs.first_digits import DIGITS, id_digits, require_one
 from bidexdata.runs.shards import write_text
 from bidexdata.viewer.nodes import GraspNodes
-from bidexdata.viewer.page import FIELD_OF_VIEW, camera_at, camera_at_arms
 from bidexdata.viewer.server import DEFAULT_HOST, free_port, require_viser, silent, started
+from bidexdata.viewer.view import FIELD_OF_VIEW, view_of_grasp, view_of_motion
 from bidexdata.viewer.words import (
     arms_markdown,
     identity_markdown,
@@ -45,6 +45,10 @@ MOTION_STEP = 0.1
 """Between two poses of a motion of arms [s]."""
 REST_SECONDS = 1.0
 """How long the first, the middle and the last pose stand still [s]."""
+_ASPECT = 1.0
+"""Width over height of the picture that the scene fits into: windows are not known, few are higher."""
+_PANEL = 320
+"""Width that the words take [px]; the scene has the rest of the window."""
 _STYLE = (
     "position:fixed;top:1em;right:1em;width:21em;max-height:calc(100vh - 6em);overflow:auto;"
     "background:#fffffff2;color:#222;font:13px/1.45 system-ui,sans-serif;padding:.8em 1em;"
@@ -138,11 +142,12 @@ def _recorded(source: Browsable, solid: Solid, batch: GraspBatch, armed: GraspBa
     server = started(DEFAULT_HOST, free_port())
     try:
         camera = server.initial_camera
-        camera.position, camera.look_at = (
-            camera_at(batch, 0, float(batch["size"][0]))
+        view = (
+            view_of_grasp(source.hands(), batch, 0, float(batch["size"][0]))
             if motion is None
-            else camera_at_arms(motion)
+            else view_of_motion(motion)
         )
+        camera.position, camera.look_at = view.aim(_ASPECT)
         camera.fov = FIELD_OF_VIEW
         nodes = GraspNodes(server.scene, source.hands())
         nodes.show_scene(solid, batch, 0, "mesh")
@@ -207,6 +212,7 @@ def _panel(tested: Mapping[str, GraspBatch], solid: Solid, armed: GraspBatch | N
         for words, value in scores(tested, 0)
     )
     return (
+        f"<style>#root {{ position: absolute; inset: 0 {_PANEL}px 0 0 }}</style>"
         f'<div id="bidexdata" style="{_STYLE}">'
         f"<p>{_as_html(object_markdown(solid))}</p><p>{_as_html(identity_markdown(batch, 0))}</p>"
         f"<p>{_as_html(arms_markdown(armed, 0))}</p>"

@@ -11,17 +11,16 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bidexdata.pictures.drawing import Surface
 from bidexdata.pictures.posing import has_pose, poses_at
-from bidexdata.pictures.views import side_direction
 from bidexdata.record import GraspBatch
 from bidexdata.runs.release_rows import RowFilter
 from bidexdata.viewer.catalog import Catalog, Found
 from bidexdata.viewer.filters import FilterWidgets
 from bidexdata.viewer.motion_panel import MotionPanel
 from bidexdata.viewer.nodes import GraspNodes
+from bidexdata.viewer.view import View, view_of_grasp, view_of_motion
 from bidexdata.viewer.words import (
     arms_markdown,
     found_markdown,
@@ -35,11 +34,7 @@ from bidexdata.wording import counted
 if TYPE_CHECKING:
     import viser
 
-    from bidexdata.arms.motion import Motion
     from bidexdata.viewer.arm_nodes import ArmNodes
-
-Aim = Callable[[NDArray[np.float64], NDArray[np.float64]], None]
-"""Points a camera: position and the point it looks at [m]."""
 
 NO_MATCH = "No grasp matches the filters."
 LISTED = 50
@@ -47,14 +42,10 @@ LISTED = 50
 LIBRARY_SIZE = 0.4
 """Diagonal at which a library's objects are shown [m]."""
 STAGE_MARKS = ((0.0, "pre-grasp"), (1.0, "grasp"), (2.0, "squeeze"))
-FIELD_OF_VIEW = float(np.radians(35.0))
-"""Vertical opening angle of the page's camera [rad]; viser's own is 75 degrees."""
 PLAY_SECONDS = 2.5
 _PLAY_STEPS = 50
 MOTION_SPEED = 1.0
 """Seconds of a motion of arms that play in one [-]."""
-_ROOM = 1.15
-"""The camera stands so much farther from arms than they need: widgets cover a part of the page."""
 _TICK = 0.04
 """Between two pictures of it [s]."""
 KEYS = (
@@ -70,11 +61,17 @@ class Page:
         gui: Where widgets go: a client's, or a server's for all clients.
         scene: Where nodes go.
         catalog: What is shown.
-        aim: Points the camera.
+        look: Has a view in the picture of the camera.
     """
 
-    def __init__(self, gui: viser.GuiApi, scene: viser.SceneApi, catalog: Catalog, aim: Aim):
-        self._gui, self.catalog, self._aim = gui, catalog, aim
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        scene: viser.SceneApi,
+        catalog: Catalog,
+        look: Callable[[View], None],
+    ):
+        self._gui, self.catalog, self._look = gui, catalog, look
         self._lock = threading.RLock()
         self._setting = False  # a widget is being set from here, not by the person
         self._playing = self._closed = False
@@ -401,41 +398,9 @@ class Page:
         self._aimed_at = aimed
         motion = self.motion.motion if self.motion.shown else None
         if motion is None:
-            self._aim(*camera_at(self.batch, 0, size))
+            self._look(view_of_grasp(self.catalog.hands, self.batch, 0, size))
         else:
-            self._aim(*camera_at_arms(motion))
-
-
-def camera_at(
-    batch: GraspBatch | None, row: int, size: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where to look from and at, so that object and hands are seen from the side [m].
-
-    Args:
-        batch: Rows; none for an object alone at the origin.
-        row: Which.
-        size: Diagonal of the object [m].
-    """
-    centre, hands = np.zeros(3), []
-    if batch is not None:
-        centre = np.asarray(batch["object_pos"][row], np.float64)
-        if has_pose(batch, row):
-            hands = list(np.asarray(batch["hand_pos"][row, :, 1], np.float64))
-    # The hands reach about 0.2 m beyond the object on both sides.
-    away = 0.5 * (size + (0.45 if hands else 0.1)) / np.tan(0.5 * FIELD_OF_VIEW)
-    seen = [centre, *hands] if len(hands) == 1 else hands
-    return centre + away * side_direction(seen), centre
-
-
-def camera_at_arms(motion: Motion) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where to look from and at, so that arms and hands stay in view through a motion [m]."""
-    from bidexdata.arms.motion import hand_poses
-    from bidexdata.viewer.arm_nodes import reach_of_motion
-
-    centre, half = reach_of_motion(motion)
-    hands = hand_poses(motion.robot, motion.at(0.0)).pos
-    away = _ROOM * half / np.tan(0.5 * FIELD_OF_VIEW)
-    return centre + away * side_direction(list(hands)), centre
+            self._look(view_of_motion(motion))
 
 
 def _direction(label: str) -> int:

@@ -40,7 +40,7 @@ def page_of(server, source):
     server.gui.reset()
     server.scene.reset()
     aimed = []
-    page = Page(server.gui, server.scene, Catalog(source), lambda *at: aimed.append(at))
+    page = Page(server.gui, server.scene, Catalog(source), lambda view: aimed.append(view.aim(1.3)))
     page.aimed = aimed
     return page
 
