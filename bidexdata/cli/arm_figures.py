@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bidexdata.cli.report import counts_text, percent, table
+from bidexdata.cli.report import counts_text, numbers, percent, table
+from bidexdata.record.status import Status
 from bidexdata.wording import counted
 
 _WITHOUT = ("ok", "no_grasp")
@@ -40,9 +41,7 @@ def arm_lines(rig: str, others: Sequence[str], arms: Mapping[str, Any]) -> list[
         others: Rigs whose solutions lie beside them.
         arms: From `runs.info.arms_of`.
     """
-    lines = []
-    if others:
-        lines.append(f"arms shown: {rig} (--rig shows others: {', '.join(others)})")
+    lines = other_rigs(rig, others)
     if not arms:
         return lines
     shown = {kind: arms[kind] for kind in ("selected", "audit") if arms[kind]["by_status"]}
@@ -51,6 +50,33 @@ def arm_lines(rig: str, others: Sequence[str], arms: Mapping[str, Any]) -> list[
     lost = f"; no grasp to take: {counted(none, 'stored attempt')}" if none else ""
     lines.append(f"arms of {rig}: grasps with a motion: {'; '.join(said)}{lost}")
     return lines + arm_table({kind: found["by_size"] for kind, found in shown.items()})
+
+
+def other_rigs(rig: str, others: Sequence[str]) -> list[str]:
+    """Whose arms are shown, where a run has solutions of others too."""
+    if not others:
+        return []
+    return [f"arms shown: {rig} (--rig shows others: {', '.join(others)})"]
+
+
+def arm_status_lines(rig: str, arms: Mapping[str, Any]) -> list[str]:
+    """A table of what stands against a motion: rows per `arm_status`, the most frequent first.
+
+    Args:
+        rig: Whose arms.
+        arms: From `runs.info.arms_of`; `all` is each row once, and a row may be both of the others.
+    """
+    every = arms["all"]["by_status"]
+    labels = sorted(every, key=lambda label: (label != "ok", -every[label], label))
+    columns = [["arm_status", *labels]]
+    for head, kind in (("rows", "all"), ("selected", "selected"), ("audit", "audit")):
+        found = arms[kind]["by_status"]
+        columns.append(numbers([head, *(str(found.get(label, 0)) for label in labels)]))
+    sentences = {status.label: status.sentence for status in Status}
+    said = ["nothing" if label == "ok" else sentences[label] for label in labels]
+    columns.append(["what stands against a motion", *said])
+    rows = [list(row) for row in zip(*columns, strict=True)]
+    return [f"arms of {rig}, by arm_status", *table(rows)]
 
 
 def _cells(by_status: Mapping[str, int]) -> list[str]:

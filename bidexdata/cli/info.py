@@ -40,7 +40,7 @@ def info(
     Unselected rate = successes / N over the audit rows of each scene (N grasps asked for), every
     other status a failure. Selected rate = successes / selected rows, printed with the kept share
     = selected / (N x scenes). Intervals are 95 %. --by groups the selected rows, --by status all tested
-    rows, selected and audit.
+    rows, selected and audit, and counts every arm_status of a run whose arms are solved.
 
     An imported run has the key files too: read, failed, left_out (grasps), failures (file, reason).
 

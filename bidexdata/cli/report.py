@@ -151,6 +151,12 @@ def percent(rate: Mapping[str, Any] | None) -> str:
     return str(Rate(**rate)) if rate and rate["n"] else "-"
 
 
+def numbers(column: list[str]) -> list[str]:
+    """Move the cells of a column of whole numbers, its head too, to the right."""
+    width = max(len(cell) for cell in column)
+    return [cell.rjust(width) for cell in column]
+
+
 def table(rows: list[list[str]]) -> list[str]:
     """Align columns; the first row is the head. What is much longer than the rest stands out."""
     widths = [
