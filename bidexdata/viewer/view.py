@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bidexdata.hands.kinematics import forward_kinematics
 from bidexdata.frames import matrix_from_quat
+from bidexdata.hands.kinematics import forward_kinematics
 from bidexdata.pictures.camera import framed, view_rotation
 from bidexdata.pictures.posing import HandPoses, has_pose, poses_at
 from bidexdata.pictures.views import side_direction
@@ -64,9 +64,7 @@ class View(NamedTuple):
         return Aim(camera.position, camera.position - away * back)
 
 
-def view_of_grasp(
-    hands: Sequence[Hand], batch: GraspBatch | None, row: int, size: float
-) -> View:
+def view_of_grasp(hands: Sequence[Hand], batch: GraspBatch | None, row: int, size: float) -> View:
     """See object and hands from the side, with room for other grasps of the scene.
 
     Args:
