@@ -186,16 +186,11 @@ def whole_ball(
     g: int,
 ):
     """Ball round group g of an arm, or round its whole hand where g is the number of those."""
-    at = spheres.radius.shape[0] + g
-    wide = float(-1.0e3)
     if g < spheres.group_joint.shape[0]:
-        wide = spheres.group_radius[g]
-    elif hand.radius.shape[0] > 0:
-        at = centre_in.shape[1] - 1
-        wide = hand.whole_radius[n]
-    else:
-        at = 0
-    return centre_in[m, at], wide
+        return part_ball(spheres, hand, centre_in, m, n, g)
+    if hand.radius.shape[0] > 0:
+        return hand_centre(centre_in, m), hand.whole_radius[n]
+    return centre_in[m, 0], float(-1.0e3)  # no hand: nothing comes near
 
 
 @wp.func
