@@ -46,9 +46,8 @@ MOTION_STEP = 0.1
 REST_SECONDS = 1.0
 """How long the first, the middle and the last pose stand still [s]."""
 _ASPECT = 1.0
-"""Width over height of the picture that the scene fits into: windows are not known, few are higher."""
-_PANEL = 320
-"""Width that the words take [px]; the scene has the rest of the window."""
+"""Width over height of the picture that the scene fits into: a square in the middle of the window,
+which the words at its side leave free where it is about twice as wide as high."""
 _STYLE = (
     "position:fixed;top:1em;right:1em;width:21em;max-height:calc(100vh - 6em);overflow:auto;"
     "background:#fffffff2;color:#222;font:13px/1.45 system-ui,sans-serif;padding:.8em 1em;"
@@ -212,7 +211,6 @@ def _panel(tested: Mapping[str, GraspBatch], solid: Solid, armed: GraspBatch | N
         for words, value in scores(tested, 0)
     )
     return (
-        f"<style>#root {{ position: absolute; inset: 0 {_PANEL}px 0 0 }}</style>"
         f'<div id="bidexdata" style="{_STYLE}">'
         f"<p>{_as_html(object_markdown(solid))}</p><p>{_as_html(identity_markdown(batch, 0))}</p>"
         f"<p>{_as_html(arms_markdown(armed, 0))}</p>"

@@ -71,6 +71,15 @@ def colours(picture: Path) -> np.ndarray:
     return np.array([blue.sum(), green.sum(), (r > b + 30).sum()])
 
 
+def nothing_cut_off(picture: Path) -> bool:
+    """Whether no pixel of hands or object lies at the borders of what the panel leaves free."""
+    pixels = image(picture)
+    strong = pixels.max(axis=2) - pixels.min(axis=2) > 60
+    return not np.concatenate(
+        [strong[:4].ravel(), strong[-4:].ravel(), strong[:, [0, -1]].ravel()]
+    ).any()
+
+
 def wait_until_drawn(window: Window, path: Path) -> None:
     """Wait for both hands and the object to be on the page; the picture stays for people."""
     try:
@@ -87,6 +96,7 @@ def test_two_windows_show_grasps_and_keep_their_own_state(browser, address, rele
         window.wait_for(OBJECTS[0])
     for number, window in enumerate((one, two)):
         wait_until_drawn(window, tmp_path / f"{number}.png")
+        assert nothing_cut_off(tmp_path / f"{number}.png")
 
     one.type_into("object has", "TETRA")
     one.wait_for("of 1 object match.")
