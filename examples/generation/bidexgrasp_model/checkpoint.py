@@ -70,7 +70,7 @@ class Checkpoint:
         for name in ("config", "release", "hands"):
             plain[name] = dataclasses.asdict(plain[name])
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(f".{path.name}.{os.getpid()}")
+        partial = path.with_name(f".{path.name}.partial")  # one process writes it
         with open(partial, "wb") as stream:
             torch.save({"format": FORMAT, **plain}, stream)
             stream.flush()

@@ -7,6 +7,7 @@ open; what is marked "ours" was chosen here.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args, get_type_hints
@@ -182,16 +183,44 @@ class Config:
 
     def __post_init__(self) -> None:
         m = self.model
+        if len(m.groups) != 2:
+            raise BadSetting(f"model.groups are two numbers, not {m.groups}")
+        for key, (low, high) in _RANGES.items():
+            group, _, name = key.partition(".")
+            value = getattr(getattr(self, group), name)
+            if not low <= value <= high:
+                raise BadSetting(f"{key} lies between {low:g} and {high:g}; it is {value:g}")
         if m.width % m.heads:
             raise BadSetting(f"model.width {m.width} must be a multiple of model.heads {m.heads}")
         if not m.points >= m.groups[0] >= m.groups[1] >= m.local:
             raise BadSetting(
                 f"model.points {m.points}, groups {m.groups} and local {m.local} must not grow"
             )
+        if m.neighbours > m.groups[0]:
+            raise BadSetting(f"model.neighbours {m.neighbours} must not exceed {m.groups[0]}")
+        if self.diffusion.sampling_steps > self.diffusion.steps:
+            raise BadSetting("diffusion.sampling_steps must not exceed diffusion.steps")
         if not set(self.train.augment) <= {"yaw", "mirror"}:
             raise BadSetting(f"train.augment knows yaw and mirror, not {self.train.augment}")
 
 
+_MANY = 32767
+"""Numbers of points are int16 in the tables of neighbours."""
+_RANGES: Mapping[str, tuple[float, float]] = {
+    **dict.fromkeys(("model.views", "diffusion.steps", "model.points"), (2, _MANY)),
+    **{f"model.{n}": (1, _MANY) for n in ("neighbours", "local", "width", "layers", "heads")},
+    **{f"diffusion.{n}": (1e-9, 1 - 1e-9) for n in ("first", "last")},
+    **{f"diffusion.{n}": (1, _MANY) for n in ("sampling_steps", "top")},
+    "diffusion.temperature": (1e-6, math.inf),
+    **{f"loss.{n}": (1, _MANY) for n in ("surface_points", "cloud_points", "geometric_every")},
+    **{f"loss.{n}": (0, 1) for n in ("geometric_below", "geometric_from")},
+    **{f"train.{n}": (1, _MANY) for n in ("cases", "grasps", "repeats", "epochs")},
+    **{f"train.{n}": (1e-12, math.inf) for n in ("rate", "clip")},
+    **{f"train.{n}": (0, math.inf) for n in ("weight_decay", "warm_up")},
+    **{f"train.{n}": (0, 1) for n in ("ema", "single_view")},
+    "refine.steps": (0, _MANY),
+    "refine.skin": (1, _MANY),
+}
 PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "paper": {},
     # 2 M parameters, for two cores: what an hour there can teach.
@@ -274,4 +303,7 @@ def _value(key: str, kind: Any, value: Any) -> Any:
         if not right or (kind is not bool and isinstance(value, bool)) or kind(value) != value:
             raise BadSetting(f"{key} is a number of type {kind.__name__}, not {value!r}")
         return kind(value)
+    inner = get_args(kind)[0]
+    if not isinstance(value, (list, tuple)) or not all(type(v) is inner for v in value):
+        raise BadSetting(f"{key} is a list such as [256, 64] or [\"yaw\"], not {value!r}")
     return tuple(value)

@@ -69,7 +69,7 @@ class Block(nn.Module):
 
 
 class Denoiser(nn.Module):
-    """Predict from noisy states what `Diffusion` asks for.
+    """Predict v of noisy states (`diffusion.py` says what v is).
 
     Source:
         BiDexGrasp, 5.2, relative dexterous grasp diffusion; the network is open there. Two tokens
@@ -138,11 +138,11 @@ def situation(
         frames: Anchors, relative to the spheres' centres.
         index: Frame of the left and the right hand of each grasp.
         radius: Of the bounding spheres [m].
-        height: Of their centres over the table [m]; 0 where there is none.
+        height: Of their centres over z = 0, the table where there is one [m].
 
     Returns:
         Radius, height of centre and anchor, elevation of the view, position and first two axes of
-        the other anchor in this one, and whether there is a second view.
+        the other anchor in this one, and whether both hands have the same view.
     """
     rot, pos = frames.anchor.rot[index], frames.anchor.pos[index]
     other = index.flip(1)

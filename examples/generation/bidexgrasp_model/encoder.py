@@ -44,20 +44,18 @@ class Encoder(nn.Module):
 
     def forward(
         self,
-        cloud: Float[Tensor, "B P 3"],
-        centre: Float[Tensor, "B 3"],
+        points: Float[Tensor, "B P 3"],
         radius: Float[Tensor, " B"],
         tables: Tables,
     ) -> Features:
         """Encode clouds.
 
         Args:
-            cloud: Points in farthest-point order [m], world.
-            centre: Of the bounding sphere.
-            radius: Of it.
+            points: In farthest-point order, relative to the bounding spheres' centres [m], world
+                axes.
+            radius: Of the spheres [m].
             tables: Of these clouds.
         """
-        points = cloud - centre[:, None]
         near = points[:, : tables.first.shape[1]]
         far = near[:, : tables.second.shape[1]]
         group = grouped(points, near, tables.first)

@@ -99,8 +99,7 @@ class GenerationModel(nn.Module):
 
     def see(self, scenes: Scenes) -> Seen:
         """Encode clouds and score views."""
-        zero = torch.zeros_like(scenes.centre)
-        features = self.encoder(scenes.points, zero, scenes.radius, scenes.tables)
+        features = self.encoder(scenes.points, scenes.radius, scenes.tables)
         scores = self.coordination(features, self.views) if self.coordination else None
         return Seen(features, scores)
 

@@ -24,8 +24,10 @@ class Ranks:
         size = int(os.environ.get("WORLD_SIZE", "1"))
         if size == 1:
             return cls()
-        backend = "nccl" if device.startswith("cuda") else "gloo"
-        torch.distributed.init_process_group(backend)
+        gpu = device.startswith("cuda")
+        if gpu:  # each process its own: "cuda" means this one from here on
+            torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
+        torch.distributed.init_process_group("nccl" if gpu else "gloo")
         return cls(torch.distributed.get_rank(), size)
 
     @property

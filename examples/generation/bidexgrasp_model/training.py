@@ -116,24 +116,31 @@ class Trainer:
         return min(1.0, self.step / self.steps)
 
     def run(self, report: Callable[[str], None] | None = None) -> Checkpoint:
-        """Train to the end; writes checkpoints and the log on the way."""
-        out = self.request.out
-        log = TrainingLog(out / "log.csv", self.step, quiet=self.request.quiet, report=report)
-        saved = time.monotonic()
+        """Train to the end; the first process writes checkpoints and the log on the way.
+
+        A training that is over leaves its files as they are, to the byte.
+        """
+        path, quiet = self.request.out / CHECKPOINT, self.request.quiet
         begun = time.monotonic() - self.seconds
-        for batch in self._batches():
-            if self.done >= 1:
-                break
-            terms = self.train_step(batch)
-            self.seconds = self.ranks.agreed(time.monotonic() - begun)
-            log.add(self.step, self.loader.sampler.epoch, self.seconds, self.done, terms)
-            if self.ranks.first and time.monotonic() - saved > self.request.save_every:
-                self.checkpoint().save(out / CHECKPOINT)
-                saved = time.monotonic()
+        saved, unsaved = time.monotonic(), not path.is_file()
+        with contextlib.ExitStack() as ends:
+            log = None
+            if self.ranks.first and self.done < 1:
+                log = TrainingLog(path.with_name("log.csv"), self.step, quiet=quiet, report=report)
+                ends.callback(log.close)
+            batches = self._batches()
+            while self.done < 1:
+                terms = self.train_step(next(batches))
+                self.seconds = self.ranks.agreed(time.monotonic() - begun)
+                unsaved = True
+                if log is not None:
+                    log.add(self.step, self.loader.sampler.epoch, self.seconds, self.done, terms)
+                if self.ranks.first and time.monotonic() - saved > self.request.save_every:
+                    self.checkpoint().save(path)
+                    saved, unsaved = time.monotonic(), False
         made = self.checkpoint()
-        if self.ranks.first:
-            made.save(out / CHECKPOINT)
-        log.close()
+        if self.ranks.first and unsaved:
+            made.save(path)
         return made
 
     def train_step(self, items: list[Mapping[str, Any]]) -> dict[str, float]:
@@ -157,10 +164,9 @@ class Trainer:
     def loss(
         self, batch: CaseBatch, generator: torch.Generator
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss of this step; on a GPU in bfloat16 where that is enough."""
+        """The loss of this step; on a GPU the network runs in bfloat16."""
         mixed = self.device.type == "cuda"
-        with torch.autocast(self.device.type, torch.bfloat16) if mixed else _plain():
-            return total_loss(self.model, self._geometric_hands(), batch, generator)
+        return total_loss(self.model, self._geometric_hands(), batch, generator, mixed=mixed)
 
     def generator(self) -> torch.Generator:
         """Draws of this step and rank, whatever came before."""
@@ -300,7 +306,3 @@ def setting_of(cases: Cases) -> str:
     """Tabletop where all scenes are."""
     found = set(cases.release.scenes.column("setting").to_pylist())
     return found.pop() if len(found) == 1 else "floating"
-
-
-def _plain() -> contextlib.AbstractContextManager[None]:
-    return contextlib.nullcontext()

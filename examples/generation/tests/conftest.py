@@ -5,10 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from bidexgrasp_model.config import Config, from_plain
+from jaxtyping import install_import_hook
 
-from bidexdata import Run as BidexRun
-from bidexdata import (
+# A wrong shape or type anywhere in a test fails there.
+install_import_hook("bidexgrasp_model", "beartype.beartype")
+
+from bidexgrasp_model.config import Config, from_plain  # noqa: E402: behind the hook
+
+from bidexdata import Run as BidexRun  # noqa: E402
+from bidexdata import (  # noqa: E402
     SynthRequest,
     TaskExecution,
     load_preset,
