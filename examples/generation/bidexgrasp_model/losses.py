@@ -91,10 +91,8 @@ def self_penetration_loss(
 
 
 def object_penetration_loss(
-    points: Float[Tensor, "*b P 3"],
-    cloud: Float[Tensor, "*b Q 3"],
-    normals: Float[Tensor, "*b Q 3"],
-) -> Float[Tensor, "*b"]:
+    points: Float[Tensor, "n P 3"], cloud: Float[Tensor, "n Q 3"], normals: Float[Tensor, "n Q 3"]
+) -> Float[Tensor, " n"]:
     """Sum of max(0, depth) over points of the hands' surface [m].
 
     The depth is that below the tangent plane of the nearest point of the cloud.
@@ -102,7 +100,7 @@ def object_penetration_loss(
     Source:
         BiDexGrasp, appendix C, hand-object penetration loss.
     """
-    near = squared_distances(points, cloud).argmin(-1)[..., None].expand(*points.shape)
+    near = nearest_point(points, cloud)[..., None].expand(points.shape)
     depth = ((cloud.gather(-2, near) - points) * normals.gather(-2, near)).sum(-1)
     return depth.clamp(0, _DEEP).sum(-1)
 
@@ -118,6 +116,18 @@ def contact_loss(
     distance = (squared_distances(pads, cloud).min(-1).values + 1e-12).sqrt()
     close = distance < within
     return (distance * close).sum(-1) / (close.sum(-1) + _EPS)
+
+
+@torch.no_grad()
+def nearest_point(
+    points: Float[Tensor, "n P 3"], cloud: Float[Tensor, "n Q 3"]
+) -> Int[Tensor, "n P"]:
+    """Number of the point of the cloud that is nearest to each point.
+
+    A point's own squared length is the same for all of the cloud, so it is left out.
+    """
+    own = cloud.square().sum(-1)[:, None]
+    return torch.baddbmm(own, points, cloud.transpose(1, 2), alpha=-2).argmin(-1)
 
 
 def squared_distances(

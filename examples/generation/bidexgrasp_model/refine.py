@@ -17,7 +17,7 @@ from bidexgrasp_model.anchors import Anchor
 from bidexgrasp_model.checkpoint import HandId
 from bidexgrasp_model.config import RefineConfig
 from bidexgrasp_model.hand_shape import HandShapes, Shape
-from bidexgrasp_model.losses import squared_distances
+from bidexgrasp_model.losses import nearest_point
 from bidexgrasp_model.state import GRASP, PREGRASP, Layout, Poses, Scale, decode
 from bidexgrasp_model.surfaces import Surface
 
@@ -152,19 +152,27 @@ def _search(shape: Shape, surface: Surface, hands: HandShapes) -> Close:
     halves = [_nearby(shape.pads[:n], surface, h) for h in range(2)]
     skin = [_planes(part, halves) for part in (shape.surface[:n], shape.surface[n:])]
     joined = Planes(*(torch.cat(parts) for parts in zip(*skin, strict=True)))
-    squared = squared_distances(shape.keys, shape.keys).flatten(1)
-    flat = hands.pairs[:, 0] * shape.keys.shape[1] + hands.pairs[:, 1]
-    gap = squared[:, flat].sqrt() - hands.least
-    count = min(_PAIRS, gap.shape[1])
-    pairs = gap.topk(count, dim=1, largest=False).indices
-    return Close(joined, _planes(shape.pads[:n], halves), pairs)
+    return Close(joined, _planes(shape.pads[:n], halves), _closest_pairs(shape.keys, hands))
+
+
+def _closest_pairs(keys: Float[Tensor, "n K 3"], hands: HandShapes) -> Int[Tensor, "n M"]:
+    """Numbers of the pairs of key points with the smallest gaps."""
+    lengths = keys.square().sum(-1)
+    products = (keys @ keys.transpose(1, 2)).flatten(1)
+    first, second = hands.pairs.unbind(1)
+    squared = products.index_select(1, first * keys.shape[1] + second).mul_(-2)
+    squared += lengths.index_select(1, first)
+    squared += lengths.index_select(1, second)
+    gap = squared.clamp_(min=0).sqrt_().sub_(hands.least)
+    return gap.topk(min(_PAIRS, gap.shape[1]), dim=1, largest=False, sorted=False).indices
 
 
 def _nearby(pads: Float[Tensor, "n C 3"], surface: Surface, hand: int) -> Surface:
     """The points of the surface around one hand."""
     middle = pads.chunk(2, dim=1)[hand].mean(1, keepdim=True)
     count = min(_NEAR, surface.points.shape[1])
-    index = (surface.points - middle).square().sum(-1).topk(count, dim=1, largest=False).indices
+    squared = (surface.points - middle).square().sum(-1)
+    index = squared.topk(count, dim=1, largest=False, sorted=False).indices
     wide = index[..., None].expand(-1, -1, 3)
     return Surface(surface.points.gather(1, wide), surface.normals.gather(1, wide))
 
@@ -173,6 +181,6 @@ def _planes(points: Float[Tensor, "n P 3"], halves: list[Surface]) -> Planes:
     """Nearest planes to points, the first half of which is the left hand's."""
     found = []
     for part, known in zip(points.chunk(2, dim=1), halves, strict=True):
-        index = squared_distances(part, known.points).argmin(-1)[..., None].expand(-1, -1, 3)
+        index = nearest_point(part, known.points)[..., None].expand(-1, -1, 3)
         found.append((known.points.gather(1, index), known.normals.gather(1, index)))
     return Planes(*(torch.cat(parts, dim=1) for parts in zip(*found, strict=True)))
