@@ -25,9 +25,16 @@ def _rows() -> list[tuple[str, list[str]]]:
     return rows
 
 
+def _files(pattern: str) -> list[Path]:
+    """Of the package; `generation/` stands for the package of that example."""
+    model = ROOT / "examples" / "generation" / "bidexgrasp_model"
+    top, _, rest = pattern.partition("/")
+    return list(model.glob(rest) if top == "generation" else (ROOT / "bidexdata").glob(pattern))
+
+
 @pytest.mark.parametrize(("cell", "patterns"), _rows(), ids=lambda v: str(v)[:40])
 def test_every_name_stands_in_its_file(cell: str, patterns: list[str]):
-    files = [f for p in patterns for f in (ROOT / "bidexdata").glob(p)]
+    files = [f for p in patterns for f in _files(p)]
     assert files, f"no such file: {patterns}"
     text = "\n".join(f.read_text(encoding="utf-8") for f in files)
     named = [n for n in re.findall(r"`([^`]+)`", cell) if not n.endswith(".py")]

@@ -183,8 +183,6 @@ class Config:
 
     def __post_init__(self) -> None:
         m = self.model
-        if len(m.groups) != 2:
-            raise BadSetting(f"model.groups are two numbers, not {m.groups}")
         for key, (low, high) in _RANGES.items():
             group, _, name = key.partition(".")
             value = getattr(getattr(self, group), name)
@@ -223,7 +221,7 @@ _RANGES: Mapping[str, tuple[float, float]] = {
 }
 PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "paper": {},
-    # 2 M parameters, for two cores: what an hour there can teach.
+    # 2.5 M parameters, for two cores: what an hour there can teach.
     "cpu": {
         "model": {"width": 160, "layers": 4, "heads": 5},
         "diffusion": {"schedule": "cosine", "sampler": "ddim", "row_share": True},
@@ -303,7 +301,9 @@ def _value(key: str, kind: Any, value: Any) -> Any:
         if not right or (kind is not bool and isinstance(value, bool)) or kind(value) != value:
             raise BadSetting(f"{key} is a number of type {kind.__name__}, not {value!r}")
         return kind(value)
-    inner = get_args(kind)[0]
+    inner, last = words[0], words[-1]
     if not isinstance(value, (list, tuple)) or not all(type(v) is inner for v in value):
-        raise BadSetting(f"{key} is a list such as [256, 64] or [\"yaw\"], not {value!r}")
+        raise BadSetting(f'{key} is a list such as [256, 64] or ["yaw"], not {value!r}')
+    if last is not Ellipsis and len(value) != len(words):
+        raise BadSetting(f"{key} has {len(words)} values, not {len(value)}")
     return tuple(value)

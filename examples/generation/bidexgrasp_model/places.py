@@ -117,7 +117,7 @@ def depth_clouds(
     return torch.from_numpy(np.stack(found)).float()
 
 
-def cloud_of_points(points: Float[np.ndarray, "P 3"], count: int) -> Float[Tensor, "1 P 3"]:
+def cloud_of_points(points: Float[np.ndarray, "P 3"], count: int) -> Float[Tensor, "1 C 3"]:
     """A measured cloud in farthest-point order, repeated where it has fewer points."""
     order = farthest_order(np.asarray(points, np.float64), min(count, len(points)))
     return torch.from_numpy(np.resize(points[order], (1, count, 3))).float()

@@ -78,7 +78,7 @@ class Trainer:
         """Open the data, make a model, and go on from a checkpoint where there is one.
 
         Raises:
-            BadSetting: The checkpoint in `out` was made with other settings or data.
+            BadSetting: The checkpoint in `out` was made with other settings, data or seed.
         """
         config = request.config
         cases = Cases(
@@ -221,6 +221,10 @@ class Trainer:
         if (found.config, found.release, found.where) != want:
             raise BadSetting(
                 f"{self.request.out} holds a checkpoint of other settings or data; choose another --out"
+            )
+        if found.data["seed"] != self.request.seed:
+            raise BadSetting(
+                f"{self.request.out} was begun with --seed {found.data['seed']}, not {self.request.seed}"
             )
         self.step, self.seconds = found.step, found.seconds
         self.model.load_state_dict(found.weights)

@@ -10,7 +10,8 @@ from jaxtyping import install_import_hook
 # A wrong shape or type anywhere in a test fails there.
 install_import_hook("bidexgrasp_model", "beartype.beartype")
 
-from bidexgrasp_model.config import Config, from_plain  # noqa: E402: behind the hook
+from bidexgrasp_model.config import Config, from_plain  # noqa: E402
+from bidexgrasp_model.training import Trainer, TrainRequest  # noqa: E402
 
 from bidexdata import Run as BidexRun  # noqa: E402
 from bidexdata import (  # noqa: E402
@@ -42,6 +43,14 @@ def config() -> Config:
             "train": {"cases": 2, "grasps": 3, "repeats": 2, "warm_up": 1, "rate": 1e-3},
         }
     )  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def trained(release, config, tmp_path_factory) -> Path:
+    """A folder with a checkpoint after 6 steps; read only."""
+    out = tmp_path_factory.mktemp("trained")
+    Trainer.start(TrainRequest(release=release, out=out, config=config, steps=6, quiet=True)).run()
+    return out
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,7 @@ from bidexgrasp_model.losses import (
     bi_view_loss,
     chamfer_loss,
     contact_loss,
+    nearest_point,
     object_penetration_loss,
     para_loss,
     self_penetration_loss,
@@ -61,3 +62,9 @@ def test_self_penetration_counts_what_is_closer_than_allowed():
     points = torch.tensor([[[0.0, 0, 0], [0.03, 0, 0], [1, 0, 0]]])
     pairs, least = torch.tensor([[0, 1], [0, 2]]), torch.tensor([0.05, 0.05])
     torch.testing.assert_close(self_penetration_loss(points, pairs, least), torch.tensor([0.02]))
+
+
+def test_the_nearest_point_is_that_of_the_distances():
+    g = torch.Generator().manual_seed(1)
+    points, cloud = torch.randn(3, 40, 3, generator=g), torch.randn(3, 60, 3, generator=g)
+    assert torch.equal(nearest_point(points, cloud), torch.cdist(points, cloud).argmin(-1))

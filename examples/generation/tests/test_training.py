@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import signal
 import subprocess
@@ -20,24 +21,19 @@ from bidexgrasp_model.hand_shape import HandShapes
 from bidexgrasp_model.model import Scenes
 from bidexgrasp_model.objective import total_loss
 from bidexgrasp_model.places import depth_clouds, places_of_split, release_clouds
+from bidexgrasp_model.rotations import matrix_from_quat
 from bidexgrasp_model.sampling import run_columns, sample
 from bidexgrasp_model.state import GRASP
 from bidexgrasp_model.systems import scene_columns
 from bidexgrasp_model.tables import tables_of
 from bidexgrasp_model.training import Trainer, TrainRequest
+from bidexgrasp_model.views import nearest_view, view_labels
 
 from bidexdata import Release, Run
 
 
 def request(release, out, config, **changes):
     return TrainRequest(release=release, out=out, config=config, quiet=True, **changes)
-
-
-@pytest.fixture(scope="module")
-def trained(release, config, tmp_path_factory) -> Path:
-    out = tmp_path_factory.mktemp("trained")
-    Trainer.start(request(release, out, config, steps=6)).run()
-    return out
 
 
 def gaps(cases, batch, release):
@@ -82,16 +78,58 @@ def test_losses_are_finite_at_the_first_and_the_last_noise_level(release, config
     model = Checkpoint.load(trained).model()
     cases = Cases(release, config)
     batch = cases.batch([cases[0], cases[1]])
-    n = len(batch.case) * config.train.repeats
+    hands = HandShapes.of_release(release, 16)
     for t in (0, 1, config.diffusion.steps):
-        levels = torch.full((n,), t)
-        plain = with_settings(config, {"loss.snr": False}) if t == 0 else config
-        model.config = plain
-        total, terms = total_loss(model, HandShapes.of_release(release, 16), batch, levels=levels)
-        assert torch.isfinite(total)
-        assert all(torch.isfinite(v) for v in terms.values())
-        total.backward()
-        assert all(torch.isfinite(p.grad).all() for p in model.parameters() if p.grad is not None)
+        levels = torch.full((len(batch.case) * config.train.repeats,), t)
+        for snr in (True, False):
+            model.config = with_settings(config, {"loss.snr": snr})
+            total, terms = total_loss(model, hands, batch, levels=levels)
+            assert torch.isfinite(total)
+            assert all(torch.isfinite(v) for v in terms.values())
+            model.zero_grad()
+            total.backward()
+            grads = [p.grad for p in model.parameters() if p.grad is not None]
+            assert all(torch.isfinite(g).all() for g in grads)
+        if t == 0:
+            assert sum(float(v.detach()) for n, v in terms.items() if n.startswith("para")) < 1e-8
+
+
+def test_half_precision_is_the_network_s_alone(release, config, trained):
+    """At noise level 0 the state is the answer: what is then measured of hands is exact."""
+    model = Checkpoint.load(trained).model()
+    cases = Cases(release, config)
+    batch = cases.batch([cases[0], cases[1]])
+    hands = HandShapes.of_release(release, 16)
+    levels = torch.zeros(len(batch.case) * config.train.repeats, dtype=torch.long)
+    whole, half = (
+        total_loss(model, hands, batch, levels=levels, mixed=mixed)[1] for mixed in (False, True)
+    )
+    for name in ("chamfer", "self_pen", "obj_pen", "spf", "para_translation"):
+        torch.testing.assert_close(half[name], whole[name], atol=1e-7, rtol=1e-4)
+    assert not torch.equal(half["single_view"], whole["single_view"])
+    torch.testing.assert_close(half["single_view"], whole["single_view"], atol=0.02, rtol=0.1)
+
+
+def test_views_are_those_of_the_turned_scene(release, config):
+    """Augmentation turns clouds and grasps alike, and the labels are counted anew behind it."""
+    plain = Cases(release, config, augment=False)
+    turned = Cases(release, with_settings(config, {"train.augment": ["yaw"]}))
+    turned.set_epoch(3)
+    a, b = plain[0], turned[0]
+    R = matrix_from_quat(b["object_quat_wxyz"]) @ matrix_from_quat(a["object_quat_wxyz"]).T
+    assert R[2, 2] > 0.999
+    assert R[0, 0] < 0.999, "this scene must be turned"
+    torch.testing.assert_close(b["cloud_solid"], a["cloud_solid"] @ R.T, atol=1e-5, rtol=0)
+    alone = with_settings(config, {"train.grasps": 1000})
+    plain.config = turned.config = alone
+    before, after = plain.batch([a]), turned.batch([b])
+    centre = Scenes.of(before.clouds, before.tables).centre[0] @ R.T
+    wrists = before.poses.pos[:, :, GRASP] @ R.T
+    view = nearest_view(wrists, centre.expand_as(wrists), plain.views)
+    y, y_bi = view_labels(view, len(plain.views))
+    torch.testing.assert_close(after.y[0], y)
+    torch.testing.assert_close(after.y_bi[0], y_bi)
+    assert sorted(after.view.tolist()) == sorted(view.tolist())
 
 
 @pytest.mark.parametrize(
@@ -142,8 +180,6 @@ def test_a_killed_training_goes_on_from_its_checkpoint(release, config, tmp_path
         "Trainer.start(TrainRequest(release=pathlib.Path(sys.argv[2]), out=pathlib.Path(sys.argv[3]),"
         " config=c, steps=40, save_every=0.0, quiet=True)).run()\n"
     )
-    import json
-
     args = [
         sys.executable, "-c", script, str(Path(__file__).parents[1]), str(release),
         str(tmp_path / "killed"), json.dumps(dataclasses.asdict(config)),
@@ -155,7 +191,7 @@ def test_a_killed_training_goes_on_from_its_checkpoint(release, config, tmp_path
         time.sleep(0.05)
     os.kill(child.pid, signal.SIGKILL)
     child.wait()
-    assert 0 < Checkpoint.load(path).step <= 40
+    assert 0 < Checkpoint.load(path).step < 40, "it was killed on the way"
     subprocess.run(args, check=True, timeout=300)
     whole = Trainer.start(request(release, tmp_path / "whole", config, steps=40)).run()
     for name, value in Checkpoint.load(path).weights.items():
@@ -177,6 +213,28 @@ def test_other_settings_do_not_go_on_from_a_checkpoint(release, config, trained)
     other = with_settings(config, {"train.rate": 0.5})
     with pytest.raises(BadSetting, match="other settings or data"):
         Trainer.start(request(release, trained, other, steps=9))
+    with pytest.raises(BadSetting, match="--seed 0, not 1"):
+        Trainer.start(request(release, trained, config, steps=9, seed=1))
+
+
+def test_a_training_that_is_over_leaves_its_files_alone(release, config, trained):
+    """What was sampled from a checkpoint is known by its bytes: `make evaluate` trains first."""
+    files = sorted(p for p in trained.iterdir() if p.is_file())
+    before = [(p.read_bytes(), p.stat().st_mtime_ns) for p in files]
+    Trainer.start(request(release, trained, config, steps=6)).run()
+    assert [(p.read_bytes(), p.stat().st_mtime_ns) for p in files] == before
+
+
+def test_no_batch_is_lost_where_a_training_ends_and_is_made_longer(release, config, tmp_path):
+    order = with_settings(config, {"train.warm_up": 0})
+    first = Trainer.start(request(release, tmp_path, order, steps=2))
+    made = first.run()
+    longer = Trainer.start(request(release, tmp_path, order, steps=4))
+    whole = Trainer.start(request(release, tmp_path / "whole", order, steps=4))
+    batches = whole._batches()
+    skipped = [[c["scene_id"] for c in next(batches)] for _ in range(3)]
+    assert [c["scene_id"] for c in next(longer._batches())] == skipped[2]
+    assert made.step == 2
 
 
 def test_samples_are_grasps_within_limits_that_a_run_takes(release, config, trained, tmp_path):
@@ -206,6 +264,17 @@ def test_presets_and_settings_are_read_and_mistakes_named():
         ("model.coordination", "both", "one of"),
         ("model.width", 30, "multiple"),
         ("train.augment", ["turn"], "yaw and mirror"),
+        ("train.augment", "yaw", "a list"),
+        ("model.groups", 5, "a list"),
+        ("model.groups", [64], "2 values"),
+        ("model.groups", [64, 128], "must not grow"),
+        ("model.neighbours", 400, "must not exceed 256"),
+        ("diffusion.steps", 0, "between 2"),
+        ("diffusion.temperature", 0, "diffusion.temperature"),
+        ("diffusion.sampling_steps", 101, "must not exceed"),
+        ("loss.geometric_every", 0, "between 1"),
+        ("train.cases", 0, "train.cases"),
+        ("train.single_view", 1.5, "between 0 and 1"),
     ):
         with pytest.raises(BadSetting, match=words):
             with_settings(load_preset("paper"), {key: value})
