@@ -13,6 +13,7 @@ import torch
 
 from bidexdata import Release, TaskExecution, load_protocol, validate_run
 from bidexgrasp_model.checkpoint import Checkpoint
+from bidexgrasp_model.config import BadSetting
 from bidexgrasp_model.data import Cases
 from bidexgrasp_model.judging import PROTOCOL, Judged, figures, judged_run, judged_split, paired
 from bidexgrasp_model.model import Scenes
@@ -48,11 +49,16 @@ def evaluate(request: EvalRequest, say: Callable[[str], None] = print) -> dict[s
 
     Returns:
         Figures per system; also written as `results.json` and `results.md` in `out`.
+
+    Raises:
+        BadSetting: The release has no test object.
     """
     from bidexgrasp_model.report import markdown
 
     release = Release.open(request.release)
     places = chosen_places(release, request.objects)
+    if not places:
+        raise BadSetting(f"{request.release}: its split test has no scene to judge on")
     task = Task(
         release=request.release,
         places=tuple(places),

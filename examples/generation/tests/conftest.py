@@ -55,9 +55,10 @@ def trained(release, config, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session")
 def release(tmp_path_factory) -> Path:
-    """A few boxes on a table, grasped by the capsule hands; every made grasp counts."""
+    """Four objects on a table, one of them to test on, grasped by the capsule hands."""
     root = tmp_path_factory.mktemp("small")
-    prepare_library(["shapes:box"], root / "library", limit=5, executor="inline", quiet=True)
+    shapes = [f"shapes:{name}" for name in ("box", "cylinder", "bracket", "prism")]
+    prepare_library(shapes, root / "library", executor="inline", quiet=True)
     request = SynthRequest(
         config=load_preset("default"),
         hand="capsule",
