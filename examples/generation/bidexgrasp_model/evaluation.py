@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from bidexdata import Release, TaskExecution, load_protocol, validate_run
@@ -168,7 +169,7 @@ def _judge(system: System, task: Task, request: EvalRequest) -> Judged:
         )
         found = judged_split(task.release, "test", stored)
         kept = {p.scene_id for p in task.places}
-        return found.select([scene in kept for scene in found.scene_id])  # type: ignore[arg-type]
+        return found.select(np.array([scene in kept for scene in found.scene_id], bool))
     run = make_run(system, task, request.out / "runs" / system.slug)
     execution = TaskExecution(workers=request.workers, quiet=request.quiet)
     validate_run(run, load_protocol(PROTOCOL), request.tests, execution=execution)

@@ -69,7 +69,7 @@ def _hidden(points: np.ndarray, camera: np.ndarray, centre: np.ndarray) -> np.nd
 
 
 def depth_cloud(
-    pieces: list[tuple[Float[np.ndarray, "F 3"], Float[np.ndarray, " F"]]],
+    pieces: list[tuple[np.ndarray, np.ndarray]],
     camera: Float[np.ndarray, 3],
     centre: Float[np.ndarray, 3],
     radius: float,
@@ -78,7 +78,7 @@ def depth_cloud(
     """Render the depth of convex pieces and give `count` of the points seen, farthest first.
 
     Args:
-        pieces: Outward unit normals and offsets of the faces of each piece: n x <= d inside [m].
+        pieces: Outward unit normals (F, 3) and offsets (F) of each piece's faces: n x <= d inside [m].
         camera: Position [m], world.
         centre: Where it looks.
         radius: Of a sphere about the centre that holds the object.

@@ -81,7 +81,7 @@ def test_a_measured_cloud_is_grasped_where_it_stands(trained, tmp_path):
     )  # fmt: skip
     (batch,) = sample_unseen(request).batches()
     assert len(batch) == 2
-    assert abs(int(batch["size_mm"][0]) - 346) < 8  # the box's diagonal of a ball: 0.2 m sqrt(3)
+    assert abs(int(batch["size_mm"][0]) - 346) < 12  # 0.2 m sqrt(3); the solid is 2 % larger
     np.testing.assert_allclose(batch["object_pos"][:, 2], 0.1, atol=0.01)
 
 
