@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bidexdata.cli.report import counts_text, numbers, percent, table
-from bidexdata.record.status import Status
 from bidexdata.wording import counted
 
 _WITHOUT = ("ok", "no_grasp")
@@ -66,6 +65,8 @@ def arm_status_lines(rig: str, arms: Mapping[str, Any]) -> list[str]:
         rig: Whose arms.
         arms: From `runs.info.arms_of`; `all` is each row once, and a row may be both of the others.
     """
+    from bidexdata.record.status import Status
+
     every = arms["all"]["by_status"]
     labels = sorted(every, key=lambda label: (label != "ok", -every[label], label))
     columns = [["arm_status", *labels]]

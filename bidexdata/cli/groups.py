@@ -7,7 +7,6 @@ from typing import Any
 
 from bidexdata.cli.arm_figures import arm_status_lines, other_rigs
 from bidexdata.cli.report import numbers, percent, table
-from bidexdata.record.status import ARM_STATUSES
 
 _LEGEND = (
     "means over {rows} where measured, with 95 % intervals: a bootstrap over objects where "
@@ -95,6 +94,7 @@ def _ordered(by: str, groups: Mapping[str, Any]) -> list[tuple[str, Any]]:
     among each the most frequent.
     """
     from bidexdata.formats.figures import size_text
+    from bidexdata.record.status import ARM_STATUSES
 
     if by == "size":
         return [(size_text(size), found) for size, found in groups.items()]
