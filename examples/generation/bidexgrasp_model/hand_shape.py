@@ -39,8 +39,11 @@ class HandShapes(torch.nn.Module):
         pairs, least = _pairs(hands)
         self.pairs: Int[Tensor, "M 2"]
         self.least: Float[Tensor, " M"]
+        self.radius: Float[Tensor, " K"]
         self.register_buffer("pairs", pairs)
         self.register_buffer("least", least)
+        radius = np.concatenate([hand.sphere_radius for hand in hands]).astype(np.float32)
+        self.register_buffer("radius", torch.from_numpy(radius))
 
     @classmethod
     def of_release(cls, release: str | Path, surface_points: int) -> HandShapes:

@@ -133,7 +133,9 @@ def _physics(
     height = close.skin.height(shape.surface)
     known = (shape.surface - close.skin.at).detach().square().sum(-1) < _FAR**2
     depth = torch.where(known, (clear - height).clamp(0, 0.05), torch.zeros_like(height))
-    table = (0.2 * clear - shape.surface[..., 2]).clamp(min=0)
+    # Few points of a surface miss the side of a finger that lies on the table; spheres do not.
+    lowest = torch.cat([shape.surface[..., 2], shape.keys[..., 2] - hands.radius], dim=1)
+    table = (0.2 * clear - lowest).clamp(min=0)
     both = hands.pairs[close.pairs]
     ends = [shape.keys.gather(1, both[..., k, None].expand(-1, -1, 3)) for k in (0, 1)]
     apart = ((ends[0] - ends[1]).square().sum(-1) + 1e-12).sqrt()

@@ -63,6 +63,27 @@ def test_hands_that_were_pushed_into_the_object_come_out(scene):
     assert after < 0.5 * before
 
 
+def test_hands_leave_the_table_also_where_no_point_of_their_surface_is_in_it(scene):
+    opened, _, limits, anchor, layout, scale, state, surface = scene
+    hands = HandShapes.of_release(opened.path, 1)
+
+    def depth(state):
+        poses = decode(scale.restored(state), anchor, layout)
+        shape = hands(poses.pos[:, :, GRASP], poses.rot[:, :, GRASP], poses.joints[:, :, GRASP])
+        return (hands.radius - shape.keys[..., 2]).clamp(min=0).amax(1)
+
+    lowered = state.clone()
+    poses = decode(scale.restored(state), anchor, layout)
+    shape = hands(poses.pos[:, :, GRASP], poses.rot[:, :, GRASP], poses.joints[:, :, GRASP])
+    room = (shape.keys[..., 2] - hands.radius).amin(1) + 0.006
+    lowered[..., 2] -= room[:, None] / scale.std[:, 2]
+    config = RefineConfig(steps=40, rate=0.2, within=0.0, object=0.0)
+    found = refined(lowered, anchor, surface, hands, limits, scale, config)
+    before, after = depth(lowered), depth(found)
+    assert before.min() > 5e-3
+    assert after.mean() < 0.5 * before.mean()
+
+
 def test_the_squeeze_keeps_what_it_is_relative_to_the_grasp_and_no_steps_change_nothing(scene):
     _, hands, limits, anchor, layout, scale, state, surface = scene
     config = RefineConfig(steps=3)
