@@ -194,8 +194,8 @@ def _postures(
 ) -> IkSolutions:
     """Solve every target from starts whose hands are near it, and from starts near the rest.
 
-    The first find postures of every kind, the second those to which the way from home is short; of
-    311 targets that the first did not solve the second solved none, so they are not asked.
+    The first find postures of every kind, the second those to which the way from home is short. Targets
+    that the first solve nowhere are out of reach as a rule, so the second are not asked about them.
     """
     near = solve_ik(arm.chain, pos, rot, config.ik, device=device)
     some = near.ok.any(axis=1)

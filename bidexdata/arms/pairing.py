@@ -114,8 +114,8 @@ class Pairing:
         apart = behind.least_apart(len(rows)) >= config.clearance.margin
         self._come(rows, picks, way, apart)
         first = np.searchsorted(rows, rows)
-        before = np.cumsum(apart) - apart
-        tried = before == before[first]
+        found = np.cumsum(apart) - apart
+        tried = found == found[first]
         self._open[rows[tried], picks[tried, 0], picks[tried, 1]] = False
         np.add.at(self._tries, rows[tried], 1)
         # All that meet end at the same gate: the first of a grasp stands for them.
