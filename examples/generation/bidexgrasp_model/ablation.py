@@ -10,7 +10,7 @@ from typing import Any
 from bidexgrasp_model.checkpoint import Checkpoint
 from bidexgrasp_model.config import Config, with_settings
 from bidexgrasp_model.evaluation import EvalRequest, evaluate
-from bidexgrasp_model.systems import DDPM, DIRECT, FULL, SYNTHESIS, TRANSFER, System
+from bidexgrasp_model.systems import DDPM, FULL, System, beside
 from bidexgrasp_model.training import CHECKPOINT, Trainer, TrainRequest
 
 ROWS: Mapping[str, Mapping[str, Any]] = {
@@ -41,10 +41,7 @@ def ablate(
             say(f"training {name}")
             Trainer.start(row).run()
         systems.append(system)
-    full = systems[-1].checkpoint
-    systems.append(System(DIRECT, "model", full, {"model.coordination": "direct"}))
-    systems.append(System(TRANSFER, "transfer", full))
-    systems.append(System(SYNTHESIS, "synthesis"))
+    systems += beside(systems[-1].checkpoint or request.out, request.config, systems)
     return evaluate(dataclasses.replace(evaluation, systems=tuple(systems), reference=FULL), say)
 
 

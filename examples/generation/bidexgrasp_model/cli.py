@@ -166,17 +166,10 @@ def evaluate(
     from bidexgrasp_model.evaluation import evaluate as judge
 
     _use_threads(threads)
-    refine = {"refine.steps": Checkpoint.load(checkpoint).config.refine.steps}
-    chosen = [
-        systems.System(systems.FULL, "model", checkpoint),
-        systems.System(systems.RAW, "model", checkpoint, {"refine.steps": 0}),
-        systems.System(systems.DIRECT, "model", checkpoint, {"model.coordination": "direct"}),
-        systems.System(systems.TRANSFER, "transfer", checkpoint),
-        systems.System(systems.FITTED, "transfer", checkpoint, refine),
-        systems.System(systems.SYNTHESIS, "synthesis"),
-    ]
+    chosen = [systems.System(systems.FULL, "model", checkpoint)]
     if plain is not None:
-        chosen.insert(1, systems.System(systems.DDPM, "model", plain))
+        chosen.append(systems.System(systems.DDPM, "model", plain))
+    chosen += systems.beside(checkpoint, Checkpoint.load(checkpoint).config, chosen)
     request = EvalRequest(
         release=release,
         out=out,

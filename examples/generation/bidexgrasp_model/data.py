@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -16,7 +17,7 @@ from bidexdata import Release
 from bidexdata.loaders import BiDexCases, collate_cases
 from bidexgrasp_model.config import Config
 from bidexgrasp_model.rotations import matrix_from_quat
-from bidexgrasp_model.single_view import seen_points
+from bidexgrasp_model.single_view import Body, bodies_of, seen_cloud
 from bidexgrasp_model.state import GRASP, Poses
 from bidexgrasp_model.tables import Tables, cached_tables, sphere_of, tables_of
 from bidexgrasp_model.views import candidate_views, nearest_view, view_labels
@@ -116,6 +117,7 @@ class Cases:
             seed=seed,
         )
         self.id = ReleaseId.of(self.release)
+        self._known_bodies: dict[str, list[Body]] = {}
         self.views = candidate_views(config.model.views)
         count = len(self.cases)
         self.chosen = list(range(count))
@@ -147,7 +149,7 @@ class Cases:
         clouds = solid = packed["cloud_solid"]
         tables = self.tables.of(packed["object_index"])
         if self.config.train.single_view > 0:
-            clouds, tables = self._one_sided(clouds, packed["cloud_normal"], tables, generator)
+            clouds, tables = self._one_sided(items, clouds, tables, generator)
         case, poses = packed["case_index"], poses_of(packed)
         view = self._views(clouds, tables, case, poses)
         labels = [view_labels(view[case == b], len(self.views)) for b in range(len(items))]
@@ -192,19 +194,43 @@ class Cases:
         return torch.cat(kept)
 
     def _one_sided(
-        self, clouds: Tensor, normals: Tensor, tables: Tables, generator: torch.Generator | None
+        self,
+        items: Sequence[Mapping[str, Any]],
+        clouds: Tensor,
+        tables: Tables,
+        generator: torch.Generator | None,
     ) -> tuple[Tensor, Tables]:
-        """Replace a share of clouds by what a camera sees of them."""
+        """Replace a share of clouds by what a camera sees of the objects: rendered depth."""
         share = self.config.train.single_view
         partial = torch.rand(len(clouds), generator=generator) < share
         clouds = clouds.clone()
         parts = [t.clone() for t in tables]
         for b in partial.nonzero().flatten().tolist():
-            clouds[b] = seen_points(clouds[b], normals[b], generator)
+            seed = int(torch.randint(0, 2**31, (1,), generator=generator))
+            bodies = [body.moved(*_motion(items[b])) for body in self._bodies(items[b])]
+            cloud = seen_cloud(bodies, clouds.shape[1], np.random.default_rng(seed))
+            clouds[b] = torch.from_numpy(cloud)
             found = tables_of(clouds[b : b + 1], self.config.model)
             for part, one in zip(parts, found, strict=True):
                 part[b] = one[0].to(part.dtype)
         return clouds, Tables(*parts)
+
+    def _bodies(self, item: Mapping[str, Any]) -> list[Body]:
+        object_id = self.release.object_ids[int(item["object_index"])]
+        if object_id not in self._known_bodies:
+            self._known_bodies[object_id] = bodies_of(self.release.load_solid(object_id).pieces)
+        return self._known_bodies[object_id]
+
+
+def _motion(item: Mapping[str, Any]) -> tuple[np.ndarray, float, np.ndarray]:
+    """R, size and pos that bring the object of a case to its place.
+
+    Of a mirrored case R holds the mirror, which `BiDexDataset` takes across y.
+    """
+    R = matrix_from_quat(item["object_quat_wxyz"].double()).numpy()
+    if bool(item.get("mirrored", False)):
+        R = R @ np.diag([1.0, -1.0, 1.0])
+    return R, float(item["size"]), item["object_pos"].double().numpy()
 
 
 def poses_of(packed: Mapping[str, Any]) -> Poses:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,15 @@ from bidexgrasp_model.data import Cases
 from bidexgrasp_model.judging import PROTOCOL, Judged, figures, judged_run, judged_split, paired
 from bidexgrasp_model.model import Scenes
 from bidexgrasp_model.places import Place, places_of_split
-from bidexgrasp_model.systems import SYNTHESIS, System, Task, make_run, seconds_per_batch
+from bidexgrasp_model.systems import (
+    AS_SAMPLED,
+    PAPER_ORDER,
+    SYNTHESIS,
+    System,
+    Task,
+    make_run,
+    seconds_per_batch,
+)
 
 PAPER_SECONDS = 1.67
 """Time of a batch of 64 in the paper, on one RTX 4090 [s]. Paper, appendix."""
@@ -91,6 +100,7 @@ def evaluate(request: EvalRequest, say: Callable[[str], None] = print) -> dict[s
                 pairs = {t: paired(judged[reference], other, t) for t in request.tests}
                 found["systems"][name]["reference_minus_this"] = pairs
         found["reference"] = reference
+    found["order"] = {end: _order(judged, end, request.tests) for end in ("", AS_SAMPLED)}
     write(request.out, found, markdown(found))
     return found
 
@@ -160,6 +170,19 @@ def write(out: Path, found: dict[str, Any], text: str) -> None:
         partial = out / f".{name}.{os.getpid()}"
         partial.write_text(content, encoding="utf-8")
         os.replace(partial, out / name)
+
+
+def _order(
+    judged: Mapping[str, Judged], end: str, tests: Sequence[str]
+) -> list[dict[str, Any]] | None:
+    """How much better each row of the paper's ablation is than the one before."""
+    names = [name + end for name in PAPER_ORDER]
+    if not set(names) <= set(judged):
+        return None
+    return [
+        {t: paired(judged[better], judged[worse], t) for t in tests}
+        for worse, better in itertools.pairwise(names)
+    ]
 
 
 def _judge(system: System, task: Task, request: EvalRequest) -> Judged:

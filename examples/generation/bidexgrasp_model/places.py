@@ -12,7 +12,7 @@ from torch import Tensor
 
 from bidexdata import Library, Release
 from bidexgrasp_model.rotations import matrix_from_quat
-from bidexgrasp_model.single_view import depth_cloud, draw_camera
+from bidexgrasp_model.single_view import bodies_of, seen_cloud
 from bidexgrasp_model.tables import farthest_order
 
 
@@ -27,11 +27,17 @@ class Place:
     pos: tuple[float, float, float]
     """Origin of the object frame in the world [m]."""
     quat_wxyz: tuple[float, float, float, float]
+    on_table: bool
+    """Whether it rests on the plane z = 0; else it floats."""
+
+    @property
+    def turn(self) -> Float[np.ndarray, "3 3"]:
+        """Orientation of the object in the world."""
+        return matrix_from_quat(torch.tensor(self.quat_wxyz, dtype=torch.float64)).numpy()
 
     def in_world(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3"]:
         """Move points of unit diagonal [m]."""
-        R = matrix_from_quat(torch.tensor(self.quat_wxyz, dtype=torch.float64)).numpy()
-        return (np.asarray(points, np.float64) * self.size) @ R.T + np.asarray(self.pos)
+        return (np.asarray(points, np.float64) * self.size) @ self.turn.T + np.asarray(self.pos)
 
 
 def places_of_split(release: Release, split: str) -> list[Place]:
@@ -46,6 +52,7 @@ def places_of_split(release: Release, split: str) -> list[Place]:
                     row["size_mm"] / 1000,
                     tuple(row["object_pos"]),
                     tuple(row["object_quat_wxyz"]),
+                    row["setting"] == "tabletop",
                 )
             )
     return found
@@ -62,7 +69,10 @@ def places_of_object(
     solid = library.load_solid(object_id)
     if setting == "floating":
         still = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-        return [Place(f"{object_id}/{mm}/float", object_id, mm / 1000, *still) for mm in sizes_mm]
+        return [
+            Place(f"{object_id}/{mm}/float", object_id, mm / 1000, *still, on_table=False)
+            for mm in sizes_mm
+        ]
     if not len(solid.rest_heights):
         raise ValueError(f"{object_id} has no pose in which it rests on a table")
     found = []
@@ -71,7 +81,14 @@ def places_of_object(
             pos = (0.0, 0.0, float(solid.rest_heights[k]) * mm / 1000)
             w, x, y, z = (float(q) for q in solid.rest_quats_wxyz[k])
             found.append(
-                Place(f"{object_id}/{mm}/table{k}", object_id, mm / 1000, pos, (w, x, y, z))
+                Place(
+                    f"{object_id}/{mm}/table{k}",
+                    object_id,
+                    mm / 1000,
+                    pos,
+                    (w, x, y, z),
+                    on_table=True,
+                )
             )
     return found
 
@@ -106,14 +123,9 @@ def depth_clouds(
     """What one camera sees of each scene: rendered depth of the convex pieces [m]."""
     found = []
     for place in places:
-        solid = source.load_solid(place.object_id)
-        corners = [place.in_world(piece.vertices) for piece in solid.pieces]
-        pieces = [_planes(c, p.faces) for c, p in zip(corners, solid.pieces, strict=True)]
-        every = np.concatenate(corners)
-        centre = (every.min(0) + every.max(0)) / 2
-        radius = float(np.linalg.norm(every - centre, axis=1).max())
-        cloud = depth_cloud(pieces, draw_camera(centre, rng), centre, radius, points)
-        found.append(np.resize(cloud, (points, 3)))
+        bodies = bodies_of(source.load_solid(place.object_id).pieces)
+        moved = [b.moved(place.turn, place.size, np.asarray(place.pos)) for b in bodies]
+        found.append(seen_cloud(moved, points, rng))
     return torch.from_numpy(np.stack(found)).float()
 
 
@@ -121,12 +133,3 @@ def cloud_of_points(points: Float[np.ndarray, "P 3"], count: int) -> Float[Tenso
     """A measured cloud in farthest-point order, repeated where it has fewer points."""
     order = farthest_order(np.asarray(points, np.float64), min(count, len(points)))
     return torch.from_numpy(np.resize(points[order], (1, count, 3))).float()
-
-
-def _planes(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    across = np.cross(b - a, c - a)
-    length = np.linalg.norm(across, axis=1)
-    kept = length > 1e-12 * max(float(length.max()), 1e-300)
-    normal = across[kept] / length[kept, None]
-    return normal, (normal * a[kept]).sum(1)

@@ -97,7 +97,8 @@ def refined(
                 close = _search(shape, surface, hands)
             assert close is not None
             off = (moving - start).square().sum((-1, -2))
-            loss = _METRES * _physics(shape, close, hands, config) + config.stay * off
+            physics = _physics(shape, close, surface.table, hands, config)
+            loss = _METRES * physics + config.stay * off
             adam.zero_grad()
             loss.sum().backward()
             adam.step()
@@ -116,7 +117,11 @@ def _shape(poses: Poses, hands: HandShapes, limits: HandId) -> Shape:
 
 
 def _physics(
-    shape: Shape, close: Close, hands: HandShapes, config: RefineConfig
+    shape: Shape,
+    close: Close,
+    table: Float[Tensor, " n"],
+    hands: HandShapes,
+    config: RefineConfig,
 ) -> Float[Tensor, " n"]:
     """Gaps of pads, and depths in the object, in the table and of hands in hands.
 
@@ -135,14 +140,14 @@ def _physics(
     depth = torch.where(known, (clear - height).clamp(0, 0.05), torch.zeros_like(height))
     # Few points of a surface miss the side of a finger that lies on the table; spheres do not.
     lowest = torch.cat([shape.surface[..., 2], shape.keys[..., 2] - hands.radius], dim=1)
-    table = (0.2 * clear - lowest).clamp(min=0)
+    below = (table.repeat(2)[:, None] + 0.2 * clear - lowest).clamp(min=0)
     both = hands.pairs[close.pairs]
     ends = [shape.keys.gather(1, both[..., k, None].expand(-1, -1, 3)) for k in (0, 1)]
     apart = ((ends[0] - ends[1]).square().sum(-1) + 1e-12).sqrt()
     within = (hands.least[close.pairs] - apart).clamp(min=0)
     overlap = (
         config.object * depth.square().mean(-1)
-        + config.table * table.square().mean(-1)
+        + config.table * below.square().mean(-1)
         + config.self * within.square().sum(-1)
     )
     return config.contact * gap + overlap[:n] + overlap[n:]
@@ -176,7 +181,7 @@ def _nearby(pads: Float[Tensor, "n C 3"], surface: Surface, hand: int) -> Surfac
     squared = (surface.points - middle).square().sum(-1)
     index = squared.topk(count, dim=1, largest=False, sorted=False).indices
     wide = index[..., None].expand(-1, -1, 3)
-    return Surface(surface.points.gather(1, wide), surface.normals.gather(1, wide))
+    return Surface(surface.points.gather(1, wide), surface.normals.gather(1, wide), surface.table)
 
 
 def _planes(points: Float[Tensor, "n P 3"], halves: list[Surface]) -> Planes:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from typing import Any
 
-from bidexgrasp_model.systems import DDPM, FULL, TRANSFER
+from bidexgrasp_model.systems import PAPER_ORDER, TRANSFER
 
 Row = Mapping[str, Any]
-PAPER_ORDER = (DDPM, "GAF + SAGA", "BCM + GAF", FULL)
-"""Rows of the paper's ablation, worst first."""
 
 
 def markdown(found: Mapping[str, Any]) -> str:
@@ -100,15 +97,23 @@ def _sentences(found: Mapping[str, Any]) -> list[str]:
         mine, other = (systems[n][f"suc_{test}"]["mean"] for n in (reference, TRANSFER))
         if other:
             lines.append(f"- {reference} has {mine / other:.2f} times the success of {TRANSFER}")
-    present = [n for n in PAPER_ORDER if n in systems]
-    if len(present) == len(PAPER_ORDER):
-        rates = [systems[n][f"suc_{test}"]["mean"] for n in PAPER_ORDER]
-        same = all(a < b for a, b in itertools.pairwise(rates))
-        lines.append(
-            f"- the paper's order of its ablation rows ({' < '.join(PAPER_ORDER)}) "
-            f"{'appears' if same else 'does not appear'} here"
-        )
+    for end, steps in found.get("order", {}).items():
+        if steps:
+            lines.append(_order_sentence(end, [step[test] for step in steps]))
     return lines
+
+
+def _order_sentence(end: str, steps: list[Row]) -> str:
+    """Whether each row of the ablation is better than the one before, by rate and by interval."""
+    rates = [step["difference"] for step in steps]
+    sure = sum(step["low"] is not None and step["low"] > 0 for step in steps)
+    against = sum(step["high"] is not None and step["high"] < 0 for step in steps)
+    says = "appears" if min(rates) > 0 else "does not appear"
+    return (
+        f"- the paper's order of its ablation rows ({' < '.join(PAPER_ORDER)}){end} {says} here: "
+        f"its steps are {', '.join(f'{100 * r:+.1f}' for r in rates)} points; of their intervals "
+        f"{sure} lie above zero, {against} below, {len(steps) - sure - against} hold zero"
+    )
 
 
 def _share(value: Row | None) -> str:

@@ -1,11 +1,12 @@
-"""Clouds as one camera sees them: rendered depth of the convex pieces, or what of a cloud shows."""
+"""Clouds as one camera sees them: rendered depth of the convex pieces of an object."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from bidexgrasp_model.tables import farthest_order
 
@@ -13,8 +14,39 @@ DISTANCE = 1.2
 """Camera to the object's centre [m]. Ours: a table-top camera."""
 _ELEVATION = (20.0, 70.0)
 """Range of the camera's height over the horizon [degrees]. Ours."""
-_PIXELS = 120
-"""Side of a depth image. Ours: about 4 mm per pixel on an object of 0.5 m."""
+_PIXELS = 80
+"""Side of a depth image. Ours: some thousand points are seen, and the network takes 1024."""
+_LEAST = 1e-12
+"""Faces of less than this share of the largest one's area have no direction."""
+
+
+class Body(NamedTuple):
+    """A convex piece."""
+
+    corners: Float[np.ndarray, "V 3"]
+    normal: Float[np.ndarray, "F 3"]
+    """Of its faces, outward, unit length."""
+    offset: Float[np.ndarray, " F"]
+    """normal . x <= offset inside [m]."""
+
+    def moved(self, R: Float[np.ndarray, "3 3"], size: float, pos: Float[np.ndarray, 3]) -> Body:
+        """Scale it, turn it (or take its mirror image) and shift it."""
+        normal = self.normal @ R.T
+        return Body(size * self.corners @ R.T + pos, normal, size * self.offset + normal @ pos)
+
+
+def bodies_of(pieces: Sequence[Any]) -> list[Body]:
+    """The convex pieces of an object, as its solid has them: its own frame, unit diagonal."""
+    found = []
+    for piece in pieces:
+        corners = np.asarray(piece.vertices, np.float64)
+        a, b, c = (corners[piece.faces[:, k]] for k in range(3))
+        across = np.cross(b - a, c - a)
+        length = np.linalg.norm(across, axis=1)
+        kept = length > _LEAST * length.max()
+        normal = across[kept] / length[kept, None]
+        found.append(Body(corners, normal, (normal * a[kept]).sum(1)))
+    return found
 
 
 def draw_camera(centre: Float[np.ndarray, 3], rng: np.random.Generator) -> Float[np.ndarray, 3]:
@@ -25,51 +57,25 @@ def draw_camera(centre: Float[np.ndarray, 3], rng: np.random.Generator) -> Float
     return centre + DISTANCE * np.array(toward)
 
 
-def seen_points(
-    cloud: Float[Tensor, "P 3"],
-    normals: Float[Tensor, "P 3"],
-    generator: torch.Generator | None = None,
-) -> Float[Tensor, "P 3"]:
-    """What of a cloud one camera sees, repeated to as many points, in farthest-point order.
-
-    Points that face the camera and have none in front of them in a grid of rays: cheap enough for
-    training. For a camera that stands anywhere use `depth_cloud`.
+def seen_cloud(
+    bodies: Sequence[Body], count: int, rng: np.random.Generator
+) -> Float[np.ndarray, "C 3"]:
+    """What a camera somewhere around an object sees of it.
 
     Args:
-        cloud: [m], world.
-        normals: Outward.
-        generator: Of the camera.
+        bodies: Its pieces, in the world [m].
+        count: Points; the first ones again where the camera sees fewer.
+        rng: Of the camera.
     """
-    seed = int(torch.randint(0, 2**31, (1,), generator=generator))
-    points = cloud.double().numpy()
-    centre = points.mean(0)
-    camera = draw_camera(centre, np.random.default_rng(seed))
-    facing = ((camera - points) * normals.double().numpy()).sum(1) > 0
-    shown = np.flatnonzero(facing & ~_hidden(points, camera, centre))
-    if len(shown) < 4:
-        return cloud
-    chosen = points[shown]
-    order = farthest_order(chosen, min(len(chosen), len(points)))
-    repeated = np.resize(chosen[order], points.shape)
-    return torch.from_numpy(repeated).to(cloud)
-
-
-def _hidden(points: np.ndarray, camera: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Whether another point lies clearly in front of a point, in cells of a grid of rays."""
-    axes = _camera_axes(camera, centre)
-    local = (points - camera) @ axes
-    depth = local[:, 2]
-    extent = np.ptp(points, axis=0).max()
-    cell = np.round(local[:, :2] / depth[:, None] * DISTANCE / (extent / 14)).astype(int)
-    _, number = np.unique(cell, axis=0, return_inverse=True)
-    number = number.reshape(-1)
-    front = np.full(number.max() + 1, np.inf)
-    np.minimum.at(front, number, depth)
-    return depth > front[number] + extent / 8
+    every = np.concatenate([body.corners for body in bodies])
+    centre = (every.min(0) + every.max(0)) / 2
+    radius = float(np.linalg.norm(every - centre, axis=1).max())
+    cloud = depth_cloud(bodies, draw_camera(centre, rng), centre, radius, count)
+    return np.resize(cloud, (count, 3))
 
 
 def depth_cloud(
-    pieces: list[tuple[np.ndarray, np.ndarray]],
+    bodies: Sequence[Body],
     camera: Float[np.ndarray, 3],
     centre: Float[np.ndarray, 3],
     radius: float,
@@ -78,7 +84,7 @@ def depth_cloud(
     """Render the depth of convex pieces and give `count` of the points seen, farthest first.
 
     Args:
-        pieces: Outward unit normals (F, 3) and offsets (F) of each piece's faces: n x <= d inside [m].
+        bodies: The pieces.
         camera: Position [m], world.
         centre: Where it looks.
         radius: Of a sphere about the centre that holds the object.
@@ -87,21 +93,33 @@ def depth_cloud(
     axes = _camera_axes(camera, centre)
     span = np.linspace(-1, 1, _PIXELS) * radius / np.linalg.norm(camera - centre)
     x, y = np.meshgrid(span, span)
-    rays = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3) @ axes.T
-    depth = np.full(len(rays), np.inf)
-    for normal, offset in pieces:
-        depth = np.minimum(depth, _entry(normal, offset, camera, rays))
+    rays = np.stack([x, y, np.ones_like(x)], -1) @ axes.T
+    depth = np.full((_PIXELS, _PIXELS), np.inf)
+    for body in bodies:
+        part = _window((body.corners - camera) @ axes, span)
+        found = _entry(body, camera, rays[part].reshape(-1, 3))
+        depth[part] = np.minimum(depth[part], found.reshape(depth[part].shape))
     hit = np.isfinite(depth)
-    points = camera + depth[hit, None] * rays[hit]
+    points = camera + depth[hit][:, None] * rays[hit]
     return points[farthest_order(points, min(count, len(points)))] if len(points) else points
 
 
+def _window(local: Float[np.ndarray, "V 3"], span: Float[np.ndarray, " W"]) -> tuple[slice, slice]:
+    """Rows and columns of the image that can see a body with these corners, in camera axes."""
+    if (local[:, 2] < 1e-3).any():
+        return slice(None), slice(None)
+    at = local[:, :2] / local[:, 2:]
+    low = np.searchsorted(span, at.min(0), side="left")
+    high = np.searchsorted(span, at.max(0), side="right")
+    return slice(low[1], high[1]), slice(low[0], high[0])
+
+
 def _entry(
-    normal: np.ndarray, offset: np.ndarray, camera: np.ndarray, rays: np.ndarray
+    body: Body, camera: np.ndarray, rays: Float[np.ndarray, "R 3"]
 ) -> Float[np.ndarray, " R"]:
     """Where rays enter a convex body; infinite where they miss it."""
-    speed = rays @ normal.T
-    gap = offset - normal @ camera
+    speed = rays @ body.normal.T
+    gap = body.offset - body.normal @ camera
     with np.errstate(divide="ignore", invalid="ignore"):
         at = gap / speed
     enter = np.where(speed < 0, at, -np.inf).max(1)

@@ -27,10 +27,12 @@ class Surface(NamedTuple):
     points: Float[Tensor, "B Q 3"]
     """[m]."""
     normals: Float[Tensor, "B Q 3"]
+    table: Float[Tensor, " B"]
+    """Height of the table [m]; minus infinity where the object floats."""
 
     def of(self, index: slice | Tensor) -> Surface:
         """That of some of them."""
-        return Surface(self.points[index], self.normals[index])
+        return Surface(self.points[index], self.normals[index], self.table[index])
 
 
 def known_surface(source: Release | Library, places: Sequence[Place]) -> Surface:
@@ -46,14 +48,23 @@ def known_surface(source: Release | Library, places: Sequence[Place]) -> Surface
         unit = (cloud - torch.tensor(place.pos, dtype=torch.float64)) @ R / place.size
         normals = normals_on(unit.numpy(), source.load_solid(place.object_id).pieces)
         found.append(torch.from_numpy(np.asarray(normals, np.float64)) @ R.T)
-    return Surface(clouds, torch.stack(found).float())
+    return Surface(clouds, torch.stack(found).float(), tables_under(places))
 
 
-def estimated_surface(clouds: Float[Tensor, "B P 3"]) -> Surface:
+def tables_under(places: Sequence[Place]) -> Float[Tensor, " B"]:
+    """Heights of the tables of scenes [m]."""
+    return torch.tensor([0.0 if p.on_table else -torch.inf for p in places])
+
+
+def estimated_surface(clouds: Float[Tensor, "B P 3"], table: Float[Tensor, " B"]) -> Surface:
     """The surface of measured clouds: normals across each point's neighbours, pointing outward.
 
     Outward is away from the middle of the cloud, which is right of most points of most objects
     and wrong inside of a bowl.
+
+    Args:
+        clouds: World [m].
+        table: From `tables_under`.
     """
     count = min(_NEIGHBOURS, clouds.shape[1])
     normals = []
@@ -64,4 +75,4 @@ def estimated_surface(clouds: Float[Tensor, "B P 3"]) -> Surface:
         middle = (cloud.amin(0) + cloud.amax(0)) / 2
         inward = (across * (cloud - middle)).sum(-1, keepdim=True) < 0
         normals.append(torch.where(inward, -across, across).float())
-    return Surface(clouds, torch.stack(normals))
+    return Surface(clouds, torch.stack(normals), table)

@@ -21,13 +21,16 @@ from bidexgrasp_model.config import Config, with_settings
 from bidexgrasp_model.hand_shape import HandShapes
 from bidexgrasp_model.places import Place, depth_clouds, release_clouds
 from bidexgrasp_model.sampling import Samples, Touch, fitted, run_columns, sample
-from bidexgrasp_model.surfaces import estimated_surface, known_surface
+from bidexgrasp_model.surfaces import estimated_surface, known_surface, tables_under
 from bidexgrasp_model.transfer import known_cases, transfer
 
 FULL = "BCM + GAF + SAGA"
 DDPM = "plain DDPM"
 DIRECT = "BCM + GAF + SAGA, pairs drawn at once"
-RAW = "BCM + GAF + SAGA, as sampled"
+AS_SAMPLED = ", as sampled"
+"""Behind the name of a model whose samples are not refined."""
+PAPER_ORDER = (DDPM, "GAF + SAGA", "BCM + GAF", FULL)
+"""Rows of the paper's ablation, worst first."""
 TRANSFER = "nearest-object transfer"
 FITTED = "nearest-object transfer, refined"
 SYNTHESIS = "synthesis"
@@ -48,6 +51,28 @@ class System:
     def slug(self) -> str:
         """Name of its folder."""
         return "".join(c if c.isalnum() else "-" for c in self.name.lower()).strip("-")
+
+    def as_sampled(self) -> System:
+        """The same model without refinement."""
+        settings = {**self.settings, "refine.steps": 0}
+        return dataclasses.replace(self, name=self.name + AS_SAMPLED, settings=settings)
+
+
+def beside(checkpoint: Path, config: Config, models: Sequence[System]) -> list[System]:
+    """What a model is judged beside: without refinement, direct pairs, transfer, the synthesis.
+
+    Args:
+        checkpoint: Of the model.
+        config: Its own; where it asks for no refinement nothing is told apart by that.
+        models: Those that are judged, it among them.
+    """
+    refine = config.refine.steps
+    found = [model.as_sampled() for model in models] if refine else []
+    found.append(System(DIRECT, "model", checkpoint, {"model.coordination": "direct"}))
+    found.append(System(TRANSFER, "transfer", checkpoint))
+    if refine:
+        found.append(System(FITTED, "transfer", checkpoint, {"refine.steps": refine}))
+    return [*found, System(SYNTHESIS, "synthesis")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,7 +175,10 @@ def touch_of(
     """
     if not config.refine.steps:
         return None
-    surface = known_surface(release, places) if seen is None else estimated_surface(seen)
+    if seen is None:
+        surface = known_surface(release, places)
+    else:
+        surface = estimated_surface(seen, tables_under(places))
     return Touch(surface, HandShapes.of_release(release.path, config.refine.skin))
 
 

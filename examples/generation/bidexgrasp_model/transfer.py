@@ -1,8 +1,8 @@
 """The baseline without learning: the nearest training object's grasps, carried to a new one.
 
 The nearest is that with the smallest Chamfer distance between clouds of unit size, each as it
-stands on the table and turned about the vertical in steps. Its best-ranked grasps are carried by
-their anchors: directions and dr stay, dt grows with the bounding spheres.
+stands on the table and turned about the vertical in steps. Its best-ranked grasp is carried by its
+anchor: directions and dr stay, dt grows with the bounding spheres.
 """
 
 from __future__ import annotations
@@ -85,13 +85,13 @@ def transfer(
     config: Config,
     joints: int,
 ) -> Samples:
-    """Carry grasps of the nearest training case to each cloud.
+    """Carry the best-ranked grasp of the nearest training case to each cloud.
 
     Args:
         known: From `known_cases`.
         clouds: World frame, farthest-point order [m].
         sizes_mm: Their sizes.
-        grasps: Of each; a neighbour with fewer gives its best again.
+        grasps: Of each, all the same: to be compared with as many samples of a model.
         config: Views.
         joints: J.
     """
@@ -100,7 +100,7 @@ def transfer(
     for b in range(len(clouds)):
         own = (clouds[b, :_POINTS] - centre[b]) / radius[b]
         case, R = _nearest(known, own, sizes_mm[b])
-        chosen = torch.arange(grasps) % len(known.poses[case].pos)
+        chosen = torch.zeros(grasps, dtype=torch.long)
         poses = Poses(*(part[chosen] for part in known.poses[case]))
         found.append(
             carried(poses, known.centre[case], known.radius[case], R, centre[b], radius[b], joints)

@@ -24,7 +24,7 @@ from bidexgrasp_model.places import (
 )
 from bidexgrasp_model.rotations import matrix_from_quat
 from bidexgrasp_model.sampling import Touch, run_columns, sample
-from bidexgrasp_model.surfaces import Surface, estimated_surface, known_surface
+from bidexgrasp_model.surfaces import Surface, estimated_surface, known_surface, tables_under
 from bidexgrasp_model.systems import scene_columns
 
 CLOUDS = (".npy", ".txt", ".xyz", ".csv")
@@ -87,7 +87,7 @@ def sample_unseen(request: SampleRequest) -> Run:
     if measured is None and not request.single_view:
         surface = known_surface(library, places)
     else:
-        surface = estimated_surface(clouds)
+        surface = estimated_surface(clouds, tables_under(places))
     return _write(request, checkpoint, places, clouds, surface)
 
 
@@ -181,11 +181,14 @@ def _as_measured(
     upright = (1.0, 0.0, 0.0, 0.0)
     mm = max(1, round(1000 * size))
     if setting == "floating":
-        return Place(f"{object_id}/{mm}/float", object_id, size, (0.0, 0.0, 0.0), upright), moved
+        middle = (0.0, 0.0, 0.0)
+        place = Place(f"{object_id}/{mm}/float", object_id, size, middle, upright, on_table=False)
+        return place, moved
     height = -min(float((piece.vertices[:, 2] * size).min()) for piece in solid.pieces)
     number = 0
     if len(solid.rest_quats_wxyz):
         turns = matrix_from_quat(torch.from_numpy(np.array(solid.rest_quats_wxyz, np.float64)))
         number = int(turns[:, 2, 2].argmax())  # the rest pose that is most upright
-    place = Place(f"{object_id}/{mm}/table{number}", object_id, size, (0.0, 0.0, height), upright)
-    return place, moved + np.array([0.0, 0.0, height])
+    pos = (0.0, 0.0, height)
+    name = f"{object_id}/{mm}/table{number}"
+    return Place(name, object_id, size, pos, upright, on_table=True), moved + np.array(pos)

@@ -10,8 +10,16 @@ from bidexgrasp_model.ablation import ROWS, ablate
 from bidexgrasp_model.enough import count
 from bidexgrasp_model.evaluation import EvalRequest, evaluate
 from bidexgrasp_model.judging import Judged, diversity, figures, paired
-from bidexgrasp_model.report import PAPER_ORDER, markdown
-from bidexgrasp_model.systems import DIRECT, FULL, SYNTHESIS, TRANSFER, System
+from bidexgrasp_model.report import markdown
+from bidexgrasp_model.systems import (
+    AS_SAMPLED,
+    DIRECT,
+    FULL,
+    PAPER_ORDER,
+    SYNTHESIS,
+    TRANSFER,
+    System,
+)
 from bidexgrasp_model.training import TrainRequest
 
 
@@ -68,7 +76,11 @@ def row(mean):
     return {**both, "by_size": {"300": both}, "by_verdict": {}}
 
 
-def page(rates):
+def step(difference, low, high):
+    return {"l": {"difference": difference, "low": low, "high": high, "objects": 5}}
+
+
+def page(rates, steps=()):
     systems = {name: row(r) for name, r in rates.items()}
     systems[TRANSFER]["reference_minus_this"] = {
         "l": {"difference": 0.3, "low": 0.2, "high": 0.4, "objects": 5}
@@ -76,7 +88,7 @@ def page(rates):
     release = {"name": "small", "version": "1.0.0"}
     return markdown(
         {"release": release, "objects": 5, "scenes": 10, "samples": 3, "tests": ["l"],
-         "systems": systems, "reference": FULL}
+         "systems": systems, "reference": FULL, "order": {"": None, AS_SAMPLED: steps}}
     )  # fmt: skip
 
 
@@ -87,8 +99,16 @@ def test_the_page_says_how_often_and_whether_the_paper_s_order_appears():
     assert f"| {FULL} | 60.0 (50.0-70.0) | 1.20 | 1.20 | 1.20 | 0.200 |" in text
     assert f"{FULL} has 2.00 times the success of {TRANSFER}" in text
     assert f"{FULL} minus {TRANSFER}: +30.0 points (+20.0 to +40.0)" in text
-    assert "appears here" in text
-    assert "does not appear here" in page({**rising, PAPER_ORDER[1]: 0.05})
+    assert "order" not in text, "where rows are missing nothing is said of their order"
+    rows = (step(0.1, -0.1, 0.2), step(0.1, 0.05, 0.2), step(0.3, 0.2, 0.4))
+    text = page(rising, rows)
+    assert f"({' < '.join(PAPER_ORDER)}){AS_SAMPLED} appears here" in text
+    assert (
+        "+10.0, +10.0, +30.0 points; of their intervals 2 lie above zero, 0 below, 1 hold" in text
+    )
+    text = page(rising, (step(-0.1, -0.2, -0.05), *rows[1:]))
+    assert "does not appear here" in text
+    assert "2 lie above zero, 1 below, 0 hold zero" in text
 
 
 def test_enough_counts_selected_grasps_that_passed(release):

@@ -38,7 +38,8 @@ def scene(release, config):
     layout = Layout(limits.joints)
     scale = Scale(torch.zeros(2, layout.width), layout.least().expand(2, -1))
     state = scale.normalised(encode(batch.poses, anchor))
-    surface = Surface(batch.solid[batch.case], batch.normals[batch.case])
+    table = torch.zeros(len(batch.case))
+    surface = Surface(batch.solid[batch.case], batch.normals[batch.case], table)
     return opened, hands, limits, anchor, layout, scale, state, surface
 
 
@@ -82,6 +83,9 @@ def test_hands_leave_the_table_also_where_no_point_of_their_surface_is_in_it(sce
     before, after = depth(lowered), depth(found)
     assert before.min() > 5e-3
     assert after.mean() < 0.5 * before.mean()
+    floating = surface._replace(table=torch.full_like(surface.table, -torch.inf))
+    found = refined(lowered, anchor, floating, hands, limits, scale, config)
+    assert depth(found).mean() > 0.8 * before.mean(), "where nothing lies below nothing is lifted"
 
 
 def test_the_squeeze_keeps_what_it_is_relative_to_the_grasp_and_no_steps_change_nothing(scene):
@@ -101,7 +105,7 @@ def test_estimated_normals_are_those_of_the_pieces_on_a_box(scene):
     opened = scene[0]
     boxes = [p for p in places_of_split(opened, "train") if p.object_id.startswith("box")]
     known = known_surface(opened, boxes)
-    found = estimated_surface(known.points)
+    found = estimated_surface(known.points, known.table)
     alike = (found.normals * known.normals).sum(-1)
     torch.testing.assert_close(
         known.normals.norm(dim=-1), torch.ones_like(alike), atol=1e-4, rtol=0
