@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-from jaxtyping import Float
+import numpy as np
+from jaxtyping import Float, Int
 
 from bidexdata.errors import MissingExtra, UnknownName
 from bidexdata.hands.model import Hand
@@ -24,9 +25,6 @@ try:
     from torch import Tensor
 except ModuleNotFoundError as err:
     raise MissingExtra("torch", "synth") from err
-
-if TYPE_CHECKING:
-    import numpy as np
 
 SURFACE_POINTS = 512
 """Points on a hand's surface unless asked otherwise: about 1 cm apart on a Shadow hand."""
@@ -75,7 +73,13 @@ class HandModel(torch.nn.Module):
         names = list(chain.get_joint_parameter_names())
         # One column per joint of the chain, taken from our order.
         self._order = [hand.joint_names.index(name) for name in names]
-        self._surface = sphere_surface(hand, surface_points)
+        body, points, normals = sphere_surface(hand, surface_points)
+        count = len(hand.body_names)
+        self._contacts = _Fixed(count, hand.contact_body, hand.contact_pos)
+        self._pads = _Fixed(count, hand.contact_body, hand.contact_normal, turns_only=True)
+        self._spheres = _Fixed(count, hand.sphere_body, hand.sphere_pos)
+        self._surface = _Fixed(count, body, points)
+        self._normals = _Fixed(count, body, normals, turns_only=True)
 
     @classmethod
     def from_release(
@@ -131,18 +135,10 @@ class HandModel(torch.nn.Module):
         batch = joints.shape[:-1]
         local = self._body_transforms(joints.reshape(-1, count))
         local = local.reshape(*batch, *local.shape[1:])
-        base = rotation_matrix(quat_wxyz)
-        body_rot = base[..., None, :, :] @ local[..., :3, :3]
-        body_pos = (base[..., None, :, :] @ local[..., :3, 3:]).squeeze(-1) + pos[..., None, :]
-        hand = self.hand
-        bodies = (body_pos, body_rot)
-        return HandPose(
-            body_pos,
-            body_rot,
-            _placed(*bodies, hand.contact_body, hand.contact_pos),
-            _turned(body_rot, hand.contact_body, hand.contact_normal),
-            _placed(*bodies, hand.sphere_body, hand.sphere_pos),
-        )
+        frames = _turned(rotation_matrix(quat_wxyz), local[..., :3, :])
+        bodies = (frames[..., 3] + pos[..., None, :], frames[..., :3])
+        fixed = (self._contacts, self._pads, self._spheres)
+        return HandPose(*bodies, *(points.placed(*bodies) for points in fixed))
 
     def link_poses(
         self, pose: HandPose, names: Sequence[str] | None = None
@@ -177,13 +173,11 @@ class HandModel(torch.nn.Module):
 
         They are outside all other spheres of their body.
         """
-        body, points, _ = self._surface
-        return _placed(pose.body_pos, pose.body_rot, body, points)
+        return self._surface.placed(pose.body_pos, pose.body_rot)
 
     def surface_normals(self, pose: HandPose) -> Float[Tensor, "*b P 3"]:
         """Outward unit normals at `surface_points`."""
-        body, _, normals = self._surface
-        return _turned(pose.body_rot, body, normals)
+        return self._normals.placed(pose.body_pos, pose.body_rot)
 
     def _body_transforms(self, joints: Float[Tensor, "n J"]) -> Float[Tensor, "n B 4 4"]:
         if (self._chain.dtype, torch.device(self._chain.device)) != (joints.dtype, joints.device):
@@ -205,16 +199,45 @@ def rotation_matrix(quat_wxyz: Float[Tensor, "*b 4"]) -> Float[Tensor, "*b 3 3"]
     return torch.stack(rows, dim=-2)
 
 
-def _placed(body_pos: Tensor, body_rot: Tensor, body: np.ndarray, points: np.ndarray) -> Tensor:
-    """Points fixed to bodies, given in the bodies' frames."""
-    index = torch.as_tensor(body.copy(), dtype=torch.long, device=body_pos.device)
-    return body_pos[..., index, :] + _turned(body_rot, body, points)
+def _turned(
+    base: Float[Tensor, "*b 3 3"], frames: Float[Tensor, "*b B 3 4"]
+) -> Float[Tensor, "*b B 3 4"]:
+    """Turn frames, all of a hand by one product."""
+    rows = frames.transpose(-3, -2).flatten(-2)
+    return (base @ rows).unflatten(-1, (-1, 4)).transpose(-3, -2)
 
 
-def _turned(body_rot: Tensor, body: np.ndarray, vectors: np.ndarray) -> Tensor:
-    index = torch.as_tensor(body.copy(), dtype=torch.long, device=body_rot.device)
-    fixed = torch.as_tensor(vectors, dtype=body_rot.dtype, device=body_rot.device)
-    return (body_rot[..., index, :, :] @ fixed[..., None]).squeeze(-1)
+class _Fixed:
+    """Points, or directions, that are fixed to bodies.
+
+    A matrix (4 B, P) that is zero but where a point meets its body, so that one product places
+    all points of all poses. Taking each point's own body costs several times as much.
+    """
+
+    def __init__(
+        self,
+        bodies: int,
+        body: Int[np.ndarray, " P"],
+        vectors: Float[np.ndarray, "P 3"],
+        *,
+        turns_only: bool = False,
+    ):
+        """Take points in the frames of their bodies; `turns_only` for directions."""
+        weight = np.zeros((bodies, 4, len(body)))
+        last = 0.0 if turns_only else 1.0
+        weight[body, :3, np.arange(len(body))] = vectors
+        weight[body, 3, np.arange(len(body))] = last
+        self._weight = torch.from_numpy(weight.reshape(4 * bodies, -1))
+
+    def placed(
+        self, body_pos: Float[Tensor, "*b B 3"], body_rot: Float[Tensor, "*b B 3 3"]
+    ) -> Float[Tensor, "*b P 3"]:
+        """Where they are, bodies being there."""
+        if (self._weight.dtype, self._weight.device) != (body_pos.dtype, body_pos.device):
+            self._weight = self._weight.to(body_pos)
+        frames = torch.cat([body_rot, body_pos[..., None]], dim=-1)
+        rows = frames.transpose(-3, -2).flatten(-2)
+        return (rows @ self._weight).transpose(-1, -2)
 
 
 def _number(name: str, known: Sequence[str]) -> int:
