@@ -119,21 +119,19 @@ class RefineConfig:
 
     steps: int = 0
     """Of Adam; 0 leaves samples as they are."""
-    skin: int = 64
-    """Points of a hand's surface."""
-    rate: float = 0.05
+    rate: float = 0.08
     """Its rate, in spreads of the training data."""
     stay: float = 0.02
     """Weight of the squared distance from the sample."""
-    within: float = 0.06
+    within: float = 0.15
     """tau: pads farther from the surface are left alone [m]."""
     slack: float = 0.015
     """Pads may be so far aside of a point of the cloud: it has gaps [m]."""
-    clear: float = 0.01
+    clear: float = 0.005
     """What the pre-grasp keeps from the surface [m]; a fifth of it from the table."""
-    contact: float = 6.0
+    contact: float = 24.0
     """Weight of the pads' mean gap [m]."""
-    object: float = 50000.0
+    object: float = 100000.0
     """Weight of mean squared depths in the object [m2]."""
     table: float = 64000.0
     """Of those in the table [m2]."""
@@ -217,7 +215,6 @@ _RANGES: Mapping[str, tuple[float, float]] = {
     **{f"train.{n}": (0, math.inf) for n in ("weight_decay", "warm_up")},
     **{f"train.{n}": (0, 1) for n in ("ema", "single_view")},
     "refine.steps": (0, _MANY),
-    "refine.skin": (1, _MANY),
 }
 PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "paper": {},

@@ -13,6 +13,11 @@ _DEEP = 0.05
 """Depths beyond this are no longer told from the far side of a thin wall [m]. Ours."""
 
 
+_FEW = 6
+"""Nearest points whose planes say where the solid is. Ours: with 2048 points depths of stored
+grasps are those in the convex pieces to 3 mm; with the nearest alone they are off by centimetres."""
+
+
 def single_view_loss(
     p: Float[Tensor, "*b K"], y: Float[Tensor, "*b K"], mask: Bool[Tensor, "*b K"]
 ) -> Float[Tensor, ""]:
@@ -95,12 +100,12 @@ def object_penetration_loss(
 ) -> Float[Tensor, " n"]:
     """Sum of max(0, depth) over points of the hands' surface [m].
 
-    The depth is that below the tangent plane of the nearest point of the cloud.
+    The depth is that below the tangent planes of the nearest points of the cloud.
 
     Source:
         BiDexGrasp, appendix C, hand-object penetration loss.
     """
-    near = nearest_point(points, cloud)[..., None].expand(points.shape)
+    near = bounding_point(points, cloud, normals)[..., None].expand(points.shape)
     depth = ((cloud.gather(-2, near) - points) * normals.gather(-2, near)).sum(-1)
     return depth.clamp(0, _DEEP).sum(-1)
 
@@ -116,6 +121,25 @@ def contact_loss(
     distance = (squared_distances(pads, cloud).min(-1).values + 1e-12).sqrt()
     close = distance < within
     return (distance * close).sum(-1) / (close.sum(-1) + _EPS)
+
+
+@torch.no_grad()
+def bounding_point(
+    points: Float[Tensor, "n P 3"], cloud: Float[Tensor, "n Q 3"], normals: Float[Tensor, "n Q 3"]
+) -> Int[Tensor, "n P"]:
+    """Number of the point of the cloud whose tangent plane bounds the solid at each point.
+
+    Of the few nearest points it is the one whose plane the point is farthest above: at an edge the
+    solid lies below both planes, and the plane of the nearest point alone goes on behind it.
+    """
+    own = cloud.square().sum(-1)[:, None]
+    distance = torch.baddbmm(own, points, cloud.transpose(1, 2), alpha=-2)
+    few = distance.topk(min(_FEW, cloud.shape[1]), dim=-1, largest=False, sorted=False).indices
+    wide = few.flatten(1)[..., None].expand(-1, -1, 3)
+    at = cloud.gather(1, wide).unflatten(1, few.shape[1:])
+    normal = normals.gather(1, wide).unflatten(1, few.shape[1:])
+    height = ((points[:, :, None] - at) * normal).sum(-1)
+    return few.gather(-1, height.argmax(-1, keepdim=True)).squeeze(-1)
 
 
 @torch.no_grad()

@@ -7,6 +7,7 @@ paper samples without.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -17,13 +18,13 @@ from bidexgrasp_model.anchors import Anchor
 from bidexgrasp_model.checkpoint import HandId
 from bidexgrasp_model.config import RefineConfig
 from bidexgrasp_model.hand_shape import HandShapes, Shape
-from bidexgrasp_model.losses import nearest_point
-from bidexgrasp_model.state import GRASP, PREGRASP, Layout, Poses, Scale, decode
+from bidexgrasp_model.losses import bounding_point, nearest_point
+from bidexgrasp_model.state import GRASP, PREGRASP, Layout, Scale, decode
 from bidexgrasp_model.surfaces import Surface
 
 _NEAR = 256
 """Points of the surface around each hand that its points are compared with. Ours."""
-_SEARCH = 5
+_SEARCH = 10
 """Steps between two searches for the nearest points. Ours."""
 _FAR = 0.06
 """Points farther from all of the surface are not told inside from outside [m]. Ours."""
@@ -33,8 +34,12 @@ _METRES = 100.0
 """A centimetre off counts as one spread of the training data off. Ours."""
 
 
+Choice = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""Of points, a cloud and its normals: which point of the cloud each point is compared with."""
+
+
 class Planes(NamedTuple):
-    """Tangent planes of the surface nearest to points of a hand."""
+    """Tangent planes of the surface, one for each of some points of a hand."""
 
     at: Float[Tensor, "n P 3"]
     normal: Float[Tensor, "n P 3"]
@@ -53,10 +58,12 @@ class Planes(NamedTuple):
 class Close(NamedTuple):
     """What is near what, searched for every few steps."""
 
-    skin: Planes
-    """Of the hands' surface, grasps then pre-grasps."""
+    keys: Planes
+    """That bound the solid at the key points, of grasps, then of pre-grasps."""
     pads: Planes
-    """Of the pads at the grasp."""
+    """That bound it at the pads, of grasps."""
+    beside: Planes
+    """Of the nearest points to the pads, of grasps."""
     pairs: Int[Tensor, "m N"]
     """Which pairs of key points."""
 
@@ -91,8 +98,8 @@ def refined(
         for step in range(config.steps):
             for group in adam.param_groups:
                 group["lr"] = config.rate * (1 - 0.8 * step / config.steps)
-            whole = scale.restored(torch.cat([moving, state[..., free:]], dim=-1))
-            shape = _shape(decode(whole, anchor, layout), hands, limits)
+            whole = torch.cat([moving, state[..., free:]], dim=-1)
+            shape = _shape(scale.restored(whole), anchor, layout, hands, limits)
             if step % _SEARCH == 0:
                 close = _search(shape, surface, hands)
             assert close is not None
@@ -105,15 +112,22 @@ def refined(
     return torch.cat([moving.detach(), state[..., free:]], dim=-1)
 
 
-def _shape(poses: Poses, hands: HandShapes, limits: HandId) -> Shape:
-    """Both hands of all grasps, then of all pre-grasps, joints within limits."""
-    stages = (GRASP, PREGRASP)
-    held = limits.within(poses.joints)
-    return hands(
-        torch.cat([poses.pos[:, :, s] for s in stages]),
-        torch.cat([poses.rot[:, :, s] for s in stages]),
-        torch.cat([held[:, :, s] for s in stages]),
-    )
+def _shape(
+    state: Float[Tensor, "n H D"], anchor: Anchor, layout: Layout, hands: HandShapes, limits: HandId
+) -> Shape:
+    """Both hands of all grasps, then of all pre-grasps, joints within limits.
+
+    A pre-grasp is relative to its grasp, but what it wants moves its own numbers alone: fingers
+    that open into the object are no reason to take the grasp off it.
+    """
+    own = 9 + layout.joints
+    behind = torch.cat([state[..., :own].detach(), state[..., own:]], dim=-1)
+    both = [(decode(state, anchor, layout), GRASP), (decode(behind, anchor, layout), PREGRASP)]
+    parts = [
+        (p.pos[:, :, stage], p.rot[:, :, stage], limits.within(p.joints)[:, :, stage])
+        for p, stage in both
+    ]
+    return hands(*(torch.cat(columns) for columns in zip(*parts, strict=True)))
 
 
 def _physics(
@@ -131,15 +145,15 @@ def _physics(
     """
     n = len(close.pads.at)
     pads = shape.pads[:n]
-    gap = close.pads.height(pads).abs() + 0.3 * (close.pads.aside(pads) - config.slack).clamp(min=0)
+    aside = (close.beside.aside(pads) - config.slack).clamp(min=0)
+    gap = close.pads.height(pads).abs() + 0.3 * aside
     gap = torch.where(gap.detach() < config.within, gap, torch.zeros_like(gap)).mean(-1)
     clear = torch.zeros(2 * n, 1).to(gap)
     clear[n:] = config.clear
-    height = close.skin.height(shape.surface)
-    known = (shape.surface - close.skin.at).detach().square().sum(-1) < _FAR**2
+    height = close.keys.height(shape.keys) - hands.radius
+    known = (shape.keys - close.keys.at).detach().square().sum(-1) < _FAR**2
     depth = torch.where(known, (clear - height).clamp(0, 0.05), torch.zeros_like(height))
-    # Few points of a surface miss the side of a finger that lies on the table; spheres do not.
-    lowest = torch.cat([shape.surface[..., 2], shape.keys[..., 2] - hands.radius], dim=1)
+    lowest = shape.keys[..., 2] - hands.radius
     below = (table.repeat(2)[:, None] + 0.2 * clear - lowest).clamp(min=0)
     both = hands.pairs[close.pairs]
     ends = [shape.keys.gather(1, both[..., k, None].expand(-1, -1, 3)) for k in (0, 1)]
@@ -157,9 +171,14 @@ def _physics(
 def _search(shape: Shape, surface: Surface, hands: HandShapes) -> Close:
     n = len(surface.points)
     halves = [_nearby(shape.pads[:n], surface, h) for h in range(2)]
-    skin = [_planes(part, halves) for part in (shape.surface[:n], shape.surface[n:])]
-    joined = Planes(*(torch.cat(parts) for parts in zip(*skin, strict=True)))
-    return Close(joined, _planes(shape.pads[:n], halves), _closest_pairs(shape.keys, hands))
+    keys = [_planes(part, halves, bounding_point) for part in (shape.keys[:n], shape.keys[n:])]
+    pads = shape.pads[:n]
+    return Close(
+        Planes(*(torch.cat(parts) for parts in zip(*keys, strict=True))),
+        _planes(pads, halves, bounding_point),
+        _planes(pads, halves, lambda points, cloud, _: nearest_point(points, cloud)),
+        _closest_pairs(shape.keys, hands),
+    )
 
 
 def _closest_pairs(keys: Float[Tensor, "n K 3"], hands: HandShapes) -> Int[Tensor, "n M"]:
@@ -184,10 +203,10 @@ def _nearby(pads: Float[Tensor, "n C 3"], surface: Surface, hand: int) -> Surfac
     return Surface(surface.points.gather(1, wide), surface.normals.gather(1, wide), surface.table)
 
 
-def _planes(points: Float[Tensor, "n P 3"], halves: list[Surface]) -> Planes:
-    """Nearest planes to points, the first half of which is the left hand's."""
+def _planes(points: Float[Tensor, "n P 3"], halves: list[Surface], choose: Choice) -> Planes:
+    """Planes for points, the first half of which is the left hand's."""
     found = []
     for part, known in zip(points.chunk(2, dim=1), halves, strict=True):
-        index = nearest_point(part, known.points)[..., None].expand(-1, -1, 3)
+        index = choose(part, known.points, known.normals)[..., None].expand(-1, -1, 3)
         found.append((known.points.gather(1, index), known.normals.gather(1, index)))
     return Planes(*(torch.cat(parts, dim=1) for parts in zip(*found, strict=True)))

@@ -179,7 +179,7 @@ def touch_of(
         surface = known_surface(release, places)
     else:
         surface = estimated_surface(seen, tables_under(places))
-    return Touch(surface, HandShapes.of_release(release.path, config.refine.skin))
+    return Touch(surface, HandShapes.of_release(release.path, 1))
 
 
 def _transferred(checkpoint: Checkpoint, system: System, task: Task, release: Release) -> Samples:

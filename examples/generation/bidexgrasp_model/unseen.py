@@ -104,7 +104,7 @@ def _write(
         model.config = with_settings(checkpoint.config, {"refine.steps": request.refine})
     touch, refine = None, model.config.refine
     if refine.steps:
-        shapes = HandShapes.of_names(checkpoint.hands.names, refine.skin).to(device)
+        shapes = HandShapes.of_names(checkpoint.hands.names, 1).to(device)
         touch = Touch(Surface(*(part.to(device) for part in surface)), shapes)
     generator = torch.Generator().manual_seed(request.seed)
     found = sample(model, clouds.to(device), request.grasps, checkpoint.hands, generator, touch)

@@ -58,6 +58,21 @@ def test_penetration_and_contact_are_depths_and_gaps():
     assert contact_loss(pads + 9, cloud, 0.02) == 0
 
 
+def test_outside_an_edge_there_is_no_depth():
+    """Two faces of a box that meet in an edge: the plane of the one goes on behind the other."""
+    side = torch.linspace(0.0, 0.1, 20)
+    top = torch.stack([side - 0.1, 0 * side, 0 * side], -1)
+    wall = torch.stack([0 * side, 0 * side, -side], -1)
+    cloud = torch.cat([top, wall])[None]
+    normals = torch.zeros_like(cloud)
+    normals[0, :20, 2] = 1
+    normals[0, 20:, 0] = 1
+    beside = torch.tensor([[[0.003, 0.0, -0.001]], [[-0.002, 0.0, -0.004]]])
+    cloud, normals = (x.expand(2, -1, -1) for x in (cloud, normals))
+    depth = object_penetration_loss(beside, cloud, normals)
+    torch.testing.assert_close(depth, torch.tensor([0.0, 0.002]))
+
+
 def test_self_penetration_counts_what_is_closer_than_allowed():
     points = torch.tensor([[[0.0, 0, 0], [0.03, 0, 0], [1, 0, 0]]])
     pairs, least = torch.tensor([[0, 1], [0, 2]]), torch.tensor([0.05, 0.05])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import pytest
 import torch
 from bidexgrasp_model.anchors import Anchor
@@ -11,9 +12,10 @@ from bidexgrasp_model.checkpoint import HandId
 from bidexgrasp_model.config import RefineConfig
 from bidexgrasp_model.data import Cases
 from bidexgrasp_model.hand_shape import HandShapes
-from bidexgrasp_model.places import places_of_split
+from bidexgrasp_model.places import places_of_split, release_clouds
 from bidexgrasp_model.refine import refined
-from bidexgrasp_model.state import GRASP, Layout, Scale, decode, encode
+from bidexgrasp_model.single_view import bodies_of
+from bidexgrasp_model.state import GRASP, PREGRASP, Layout, Scale, decode, encode
 from bidexgrasp_model.surfaces import Surface, estimated_surface, known_surface
 
 from bidexdata import Release
@@ -43,13 +45,21 @@ def scene(release, config):
     return opened, hands, limits, anchor, layout, scale, state, surface
 
 
-def _depth(scene, state):
-    _, hands, _limits, anchor, layout, scale, _, surface = scene
+def _overlap(scene, state, stage):
+    """Sum over key spheres of their depths in the convex pieces of each grasp's object [m]."""
+    opened, hands, _limits, anchor, layout, scale, _, surface = scene
     poses = decode(scale.restored(state), anchor, layout)
-    shape = hands(poses.pos[:, :, GRASP], poses.rot[:, :, GRASP], poses.joints[:, :, GRASP])
-    near = torch.cdist(shape.surface, surface.points).argmin(-1)[..., None].expand(-1, -1, 3)
-    off = shape.surface - surface.points.gather(1, near)
-    return (-(off * surface.normals.gather(1, near)).sum(-1)).clamp(min=0)
+    keys = hands(poses.pos[:, :, stage], poses.rot[:, :, stage], poses.joints[:, :, stage]).keys
+    found = []
+    for place in places_of_split(opened, "train"):
+        cloud = release_clouds(opened, [place], surface.points.shape[1])[0]
+        own = (surface.points - cloud).abs().amax((1, 2)) < 1e-6
+        pieces = bodies_of(opened.load_solid(place.object_id).pieces)
+        bodies = [b.moved(place.turn, place.size, np.array(place.pos)) for b in pieces]
+        points = keys[own].double().numpy()
+        height = np.min([(points @ b.normal.T - b.offset).max(-1) for b in bodies], axis=0)
+        found.append((hands.radius.numpy() - height).clip(0).sum(-1))
+    return np.concatenate(found)
 
 
 def test_hands_that_were_pushed_into_the_object_come_out(scene):
@@ -59,9 +69,24 @@ def test_hands_that_were_pushed_into_the_object_come_out(scene):
     pushed[..., :3] += 0.02 * inward / scale.std[:, :3]
     config = RefineConfig(steps=40, rate=0.2, within=0.0)
     found = refined(pushed, anchor, surface, hands, limits, scale, config)
-    before, after = _depth(scene, pushed).mean(), _depth(scene, found).mean()
-    assert before > 5e-4
-    assert after < 0.5 * before
+    for stage in (PREGRASP, GRASP):
+        before, after = _overlap(scene, pushed, stage).sum(), _overlap(scene, found, stage).sum()
+        assert before > 0.1
+        assert after < 0.2 * before
+
+
+def test_what_a_pregrasp_wants_leaves_its_grasp_alone(scene):
+    """With a clearance that the pre-grasp lacks only the numbers of the pre-grasp move."""
+    _, hands, limits, anchor, layout, scale, state, surface = scene
+    free = surface._replace(table=torch.full_like(surface.table, -torch.inf))
+    config = RefineConfig(steps=5, within=0.0, self=0.0, contact=0.0, object=0.0)
+    still = refined(state, anchor, free, hands, limits, scale, config)
+    assert torch.equal(still, state), "nothing asks for anything"
+    config = dataclasses.replace(config, clear=0.2, table=64000.0)
+    found = refined(state, anchor, surface, hands, limits, scale, config)
+    own = 9 + layout.joints
+    assert torch.equal(found[..., :own], state[..., :own])
+    assert not torch.equal(found, state)
 
 
 def test_hands_leave_the_table_also_where_no_point_of_their_surface_is_in_it(scene):
