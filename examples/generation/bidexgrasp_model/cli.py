@@ -91,6 +91,9 @@ def sample(
     refine: Annotated[
         int | None, typer.Option(min=0, help="Steps that fit grasps to the surface.")
     ] = None,
+    draws: Annotated[
+        int | None, typer.Option(min=1, help="Samples per grasp, of which the best is kept.")
+    ] = None,
     seed: Seed = 0,
     device: Device = "cpu",
     threads: Threads = 0,
@@ -113,6 +116,7 @@ def sample(
             seed=seed,
             single_view=single_view,
             refine=refine,
+            draws=draws,
             device=device,
             quiet=quiet,
         )

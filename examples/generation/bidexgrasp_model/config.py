@@ -119,8 +119,12 @@ class RefineConfig:
 
     steps: int = 0
     """Of Adam; 0 leaves samples as they are."""
+    draws: int = 1
+    """Samples made for each grasp, of which the one is kept that fits the surface best."""
     rate: float = 0.08
     """Its rate, in spreads of the training data."""
+    reach: float = 4.0
+    """Times as far per step go the numbers of the pre-grasp, whose spread is small."""
     stay: float = 0.02
     """Weight of the squared distance from the sample."""
     within: float = 0.15
@@ -129,7 +133,7 @@ class RefineConfig:
     """Pads may be so far aside of a point of the cloud: it has gaps [m]."""
     clear: float = 0.005
     """What the pre-grasp keeps from the surface [m]; a fifth of it from the table."""
-    contact: float = 24.0
+    contact: float = 48.0
     """Weight of the pads' mean gap [m]."""
     object: float = 100000.0
     """Weight of mean squared depths in the object [m2]."""
@@ -215,6 +219,7 @@ _RANGES: Mapping[str, tuple[float, float]] = {
     **{f"train.{n}": (0, math.inf) for n in ("weight_decay", "warm_up")},
     **{f"train.{n}": (0, 1) for n in ("ema", "single_view")},
     "refine.steps": (0, _MANY),
+    "refine.draws": (1, _MANY),
 }
 PRESETS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "paper": {},

@@ -76,7 +76,7 @@ def refined(
     limits: HandId,
     scale: Scale,
     config: RefineConfig,
-) -> Float[Tensor, "n H D"]:
+) -> tuple[Float[Tensor, "n H D"], Float[Tensor, " n"]]:
     """Move normalised states so that pads touch and nothing overlaps.
 
     Args:
@@ -87,29 +87,38 @@ def refined(
         limits: Of the joints.
         scale: Statistics of the states.
         config: Steps and weights.
+
+    Returns:
+        The states, and what is left of gaps and overlaps: less is better.
     """
     layout = Layout(limits.joints)
     free = 9 + layout.joints + 6 + layout.joints  # grasp and pre-grasp
     start = state[..., :free].detach()
-    moving = start.clone().requires_grad_(True)
-    adam = torch.optim.Adam([moving], lr=config.rate, betas=(0.9, 0.95))
+    reach = torch.ones(free).to(start)
+    reach[9 + layout.joints :] = config.reach
+    moved = torch.zeros_like(start).requires_grad_(True)
+    adam = torch.optim.Adam([moved], lr=config.rate, betas=(0.9, 0.95))
     close: Close | None = None
     with torch.enable_grad():
         for step in range(config.steps):
             for group in adam.param_groups:
                 group["lr"] = config.rate * (1 - 0.8 * step / config.steps)
-            whole = torch.cat([moving, state[..., free:]], dim=-1)
+            whole = torch.cat([start + reach * moved, state[..., free:]], dim=-1)
             shape = _shape(scale.restored(whole), anchor, layout, hands, limits)
             if step % _SEARCH == 0:
                 close = _search(shape, surface, hands)
             assert close is not None
-            off = (moving - start).square().sum((-1, -2))
+            off = moved.square().sum((-1, -2))
             physics = _physics(shape, close, surface.table, hands, config)
             loss = _METRES * physics + config.stay * off
             adam.zero_grad()
             loss.sum().backward()
             adam.step()
-    return torch.cat([moving.detach(), state[..., free:]], dim=-1)
+    with torch.no_grad():
+        found = torch.cat([start + reach * moved, state[..., free:]], dim=-1)
+        shape = _shape(scale.restored(found), anchor, layout, hands, limits)
+        left = _physics(shape, _search(shape, surface, hands), surface.table, hands, config)
+    return found, left
 
 
 def _shape(

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from bidexgrasp_model.anchors import grasp_anchor
+from bidexgrasp_model.anchors import Anchor, grasp_anchor
 from bidexgrasp_model.checkpoint import HandId
 from bidexgrasp_model.choosing import draw_views
 from bidexgrasp_model.config import Config
@@ -96,9 +96,10 @@ def _sample_some(
     touch: Touch | None,
 ) -> Samples:
     config = model.config
+    draws = config.refine.draws if touch is not None else 1
     scenes = Scenes.of(clouds, tables_of(clouds, config.model))
     seen = model.see(scenes)
-    cloud = torch.arange(len(clouds), device=clouds.device).repeat_interleave(grasps)
+    cloud = torch.arange(len(clouds), device=clouds.device).repeat_interleave(grasps * draws)
     view = torch.zeros(len(cloud), 2, dtype=torch.long, device=clouds.device)
     if seen.scores is not None:
         view = draw_views(
@@ -111,12 +112,21 @@ def _sample_some(
         return model(state, t, conditions)
 
     state = draw(predict, start, config.diffusion, generator)
-    if touch is not None and config.refine.steps:
-        surface = touch.surface.of(cloud)
-        anchor, scale = conditions.anchor, model.scale
-        state = refined(state, anchor, surface, touch.shapes, hands, scale, config.refine)
-    poses = decode(model.scale.restored(state), conditions.anchor, model.layout)
+    anchor = conditions.anchor
+    if touch is not None:
+        surface, scale = touch.surface.of(cloud), model.scale
+        state, left = refined(state, anchor, surface, touch.shapes, hands, scale, config.refine)
+        best = best_of(left, draws)
+        state, view, cloud = state[best], view[best], cloud[best]
+        anchor = Anchor(anchor.pos[best], anchor.rot[best])
+    poses = decode(model.scale.restored(state), anchor, model.layout)
     return Samples(cloud, view, within_limits(poses, hands))
+
+
+def best_of(left: Float[Tensor, " n"], draws: int) -> Int[Tensor, " m"]:
+    """Of every so many samples behind each other, which has the least left."""
+    first = draws * torch.arange(len(left) // draws, device=left.device)
+    return first + left.unflatten(0, (-1, draws)).argmin(1)
 
 
 @torch.no_grad()
@@ -144,7 +154,7 @@ def fitted(
     anchor = grasp_anchor(view, middle, radius[samples.cloud][:, None].expand(view.shape[:-1]))
     state = model.scale.normalised(encode(samples.poses, anchor))
     surface = touch.surface.of(samples.cloud)
-    state = refined(state, anchor, surface, touch.shapes, hands, model.scale, config.refine)
+    state, _ = refined(state, anchor, surface, touch.shapes, hands, model.scale, config.refine)
     poses = decode(model.scale.restored(state), anchor, model.layout)
     return samples._replace(poses=within_limits(poses, hands))
 

@@ -27,8 +27,11 @@ from bidexgrasp_model.transfer import known_cases, transfer
 FULL = "BCM + GAF + SAGA"
 DDPM = "plain DDPM"
 DIRECT = "BCM + GAF + SAGA, pairs drawn at once"
+BEST = "BCM + GAF + SAGA, best of 4"
 AS_SAMPLED = ", as sampled"
 """Behind the name of a model whose samples are not refined."""
+BEST_OF = 4
+"""Samples of which one is kept, in a row of its own."""
 PAPER_ORDER = (DDPM, "GAF + SAGA", "BCM + GAF", FULL)
 """Rows of the paper's ablation, worst first."""
 TRANSFER = "nearest-object transfer"
@@ -53,13 +56,16 @@ class System:
         return "".join(c if c.isalnum() else "-" for c in self.name.lower()).strip("-")
 
     def as_sampled(self) -> System:
-        """The same model without refinement."""
-        settings = {**self.settings, "refine.steps": 0}
+        """The same model without refinement and without a choice."""
+        settings = {**self.settings, "refine.steps": 0, "refine.draws": 1}
         return dataclasses.replace(self, name=self.name + AS_SAMPLED, settings=settings)
 
 
 def beside(checkpoint: Path, config: Config, models: Sequence[System]) -> list[System]:
-    """What a model is judged beside: without refinement, direct pairs, transfer, the synthesis.
+    """What a model is judged beside.
+
+    Its own samples without refinement, the best of several, views drawn in pairs, the transfer and
+    the synthesis.
 
     Args:
         checkpoint: Of the model.
@@ -68,6 +74,7 @@ def beside(checkpoint: Path, config: Config, models: Sequence[System]) -> list[S
     """
     refine = config.refine.steps
     found = [model.as_sampled() for model in models] if refine else []
+    found.append(System(BEST, "model", checkpoint, {"refine.draws": BEST_OF}))
     found.append(System(DIRECT, "model", checkpoint, {"model.coordination": "direct"}))
     found.append(System(TRANSFER, "transfer", checkpoint))
     if refine:
@@ -173,7 +180,7 @@ def touch_of(
         places: The scenes.
         seen: Clouds from one side, where nothing else of the objects is known.
     """
-    if not config.refine.steps:
+    if not config.refine.steps and config.refine.draws == 1:
         return None
     if seen is None:
         surface = known_surface(release, places)

@@ -50,6 +50,8 @@ class SampleRequest:
     """Show the model what one camera sees of a mesh, and not its whole surface."""
     refine: int | None = None
     """Steps that fit grasps to the surface; the checkpoint's when omitted."""
+    draws: int | None = None
+    """Samples made for each grasp, of which the best is kept; the checkpoint's when omitted."""
     device: str = "cpu"
     quiet: bool = False
 
@@ -100,10 +102,11 @@ def _write(
 ) -> Run:
     device = torch.device(request.device)
     model = checkpoint.model().to(device)
-    if request.refine is not None:
-        model.config = with_settings(checkpoint.config, {"refine.steps": request.refine})
+    asked = {"refine.steps": request.refine, "refine.draws": request.draws}
+    changes = {key: value for key, value in asked.items() if value is not None}
+    model.config = with_settings(checkpoint.config, changes)
     touch, refine = None, model.config.refine
-    if refine.steps:
+    if refine.steps or refine.draws > 1:
         shapes = HandShapes.of_names(checkpoint.hands.names, 1).to(device)
         touch = Touch(Surface(*(part.to(device) for part in surface)), shapes)
     generator = torch.Generator().manual_seed(request.seed)

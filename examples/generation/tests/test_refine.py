@@ -14,6 +14,7 @@ from bidexgrasp_model.data import Cases
 from bidexgrasp_model.hand_shape import HandShapes
 from bidexgrasp_model.places import places_of_split, release_clouds
 from bidexgrasp_model.refine import refined
+from bidexgrasp_model.sampling import best_of
 from bidexgrasp_model.single_view import bodies_of
 from bidexgrasp_model.state import GRASP, PREGRASP, Layout, Scale, decode, encode
 from bidexgrasp_model.surfaces import Surface, estimated_surface, known_surface
@@ -68,11 +69,32 @@ def test_hands_that_were_pushed_into_the_object_come_out(scene):
     pushed = state.clone()
     pushed[..., :3] += 0.02 * inward / scale.std[:, :3]
     config = RefineConfig(steps=40, rate=0.2, within=0.0)
-    found = refined(pushed, anchor, surface, hands, limits, scale, config)
+    found, _ = refined(pushed, anchor, surface, hands, limits, scale, config)
     for stage in (PREGRASP, GRASP):
         before, after = _overlap(scene, pushed, stage).sum(), _overlap(scene, found, stage).sum()
         assert before > 0.1
         assert after < 0.2 * before
+
+
+def test_what_is_left_is_less_after_more_steps_and_more_where_hands_were_pushed_in(scene):
+    _, hands, limits, anchor, _, scale, state, surface = scene
+    pushed = state.clone()
+    pushed[..., :3] += 1.5
+    left = {
+        steps: refined(
+            pushed, anchor, surface, hands, limits, scale, RefineConfig(steps=steps, rate=0.2)
+        )[1].mean()
+        for steps in (0, 10, 40)
+    }
+    assert left[0] > left[10] > left[40]
+    still = RefineConfig(steps=0)
+    assert refined(state, anchor, surface, hands, limits, scale, still)[1].mean() < left[0]
+
+
+def test_of_several_draws_the_one_with_least_left_is_kept():
+    left = torch.tensor([3.0, 1.0, 2.0, 0.5, 0.7, 0.1])
+    assert best_of(left, 3).tolist() == [1, 5]
+    assert best_of(left, 1).tolist() == [0, 1, 2, 3, 4, 5]
 
 
 def test_what_a_pregrasp_wants_leaves_its_grasp_alone(scene):
@@ -80,10 +102,10 @@ def test_what_a_pregrasp_wants_leaves_its_grasp_alone(scene):
     _, hands, limits, anchor, layout, scale, state, surface = scene
     free = surface._replace(table=torch.full_like(surface.table, -torch.inf))
     config = RefineConfig(steps=5, within=0.0, self=0.0, contact=0.0, object=0.0)
-    still = refined(state, anchor, free, hands, limits, scale, config)
+    still, _ = refined(state, anchor, free, hands, limits, scale, config)
     assert torch.equal(still, state), "nothing asks for anything"
     config = dataclasses.replace(config, clear=0.2, table=64000.0)
-    found = refined(state, anchor, surface, hands, limits, scale, config)
+    found, _ = refined(state, anchor, surface, hands, limits, scale, config)
     own = 9 + layout.joints
     assert torch.equal(found[..., :own], state[..., :own])
     assert not torch.equal(found, state)
@@ -104,23 +126,23 @@ def test_hands_leave_the_table_also_where_no_point_of_their_surface_is_in_it(sce
     room = (shape.keys[..., 2] - hands.radius).amin(1) + 0.006
     lowered[..., 2] -= room[:, None] / scale.std[:, 2]
     config = RefineConfig(steps=40, rate=0.2, within=0.0, object=0.0)
-    found = refined(lowered, anchor, surface, hands, limits, scale, config)
+    found, _ = refined(lowered, anchor, surface, hands, limits, scale, config)
     before, after = depth(lowered), depth(found)
     assert before.min() > 5e-3
     assert after.mean() < 0.5 * before.mean()
     floating = surface._replace(table=torch.full_like(surface.table, -torch.inf))
-    found = refined(lowered, anchor, floating, hands, limits, scale, config)
+    found, _ = refined(lowered, anchor, floating, hands, limits, scale, config)
     assert depth(found).mean() > 0.8 * before.mean(), "where nothing lies below nothing is lifted"
 
 
 def test_the_squeeze_keeps_what_it_is_relative_to_the_grasp_and_no_steps_change_nothing(scene):
     _, hands, limits, anchor, layout, scale, state, surface = scene
     config = RefineConfig(steps=3)
-    found = refined(state, anchor, surface, hands, limits, scale, config)
+    found, _ = refined(state, anchor, surface, hands, limits, scale, config)
     behind = 9 + layout.joints + 6 + layout.joints
     assert torch.equal(found[..., behind:], state[..., behind:])
     assert not torch.equal(found, state)
-    still = refined(
+    still, _ = refined(
         state, anchor, surface, hands, limits, scale, dataclasses.replace(config, steps=0)
     )
     assert torch.equal(still, state)
