@@ -66,7 +66,8 @@ class Coordination(nn.Module):
         value = self.value(features.tokens)[:, None] + self.value_place(place)
         query = self.query(self.embedding).expand(B, K, D).reshape(B * K, 1, D)
         found = attend(query, key.reshape(B * K, C, D), value.reshape(B * K, C, D), self.heads)
-        found = found.reshape(B, K, D)
+        # With its own embedding: in its own frame a view does not know where the others are.
+        found = found.reshape(B, K, D) + self.embedding
         return self.norm(found + self.out(found))
 
     def pair_scores(self, f: Float[Tensor, "B K D"]) -> Float[Tensor, "B K K"]:
