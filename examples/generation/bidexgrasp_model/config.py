@@ -142,6 +142,11 @@ class RefineConfig:
     self: float = 300.0
     """Of summed squared overlaps of key points [m2]."""
 
+    @property
+    def wanted(self) -> bool:
+        """Whether samples are moved or chosen, so that surfaces and hands are needed."""
+        return self.steps > 0 or self.draws > 1
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainConfig:

@@ -26,12 +26,12 @@ from bidexgrasp_model.transfer import known_cases, transfer
 
 FULL = "BCM + GAF + SAGA"
 DDPM = "plain DDPM"
-DIRECT = "BCM + GAF + SAGA, pairs drawn at once"
-BEST = "BCM + GAF + SAGA, best of 4"
+DIRECT = f"{FULL}, pairs drawn at once"
 AS_SAMPLED = ", as sampled"
 """Behind the name of a model whose samples are not refined."""
 BEST_OF = 4
 """Samples of which one is kept, in a row of its own."""
+BEST = f"{FULL}, best of {BEST_OF}"
 PAPER_ORDER = (DDPM, "GAF + SAGA", "BCM + GAF", FULL)
 """Rows of the paper's ablation, worst first."""
 TRANSFER = "nearest-object transfer"
@@ -180,7 +180,7 @@ def touch_of(
         places: The scenes.
         seen: Clouds from one side, where nothing else of the objects is known.
     """
-    if not config.refine.steps and config.refine.draws == 1:
+    if not config.refine.wanted:
         return None
     if seen is None:
         surface = known_surface(release, places)

@@ -106,7 +106,7 @@ def _write(
     changes = {key: value for key, value in asked.items() if value is not None}
     model.config = with_settings(checkpoint.config, changes)
     touch, refine = None, model.config.refine
-    if refine.steps or refine.draws > 1:
+    if refine.wanted:
         shapes = HandShapes.of_names(checkpoint.hands.names, 1).to(device)
         touch = Touch(Surface(*(part.to(device) for part in surface)), shapes)
     generator = torch.Generator().manual_seed(request.seed)

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import torch
 from bidexgrasp_model.anchors import Anchor, anchor_axes, grasp_anchor, to_relative, to_world
+from bidexgrasp_model.coordination import Coordination
+from bidexgrasp_model.encoder import Features
 from bidexgrasp_model.rotations import (
     matrix_from_quat,
     matrix_from_six,
@@ -135,6 +137,18 @@ def test_states_do_not_change_when_grasp_and_anchor_move_together():
     moved = Poses(poses.pos @ R.T + t, R @ poses.rot, poses.joints)
     along = Anchor(anchor.pos @ R.T + t, R @ anchor.rot)
     torch.testing.assert_close(encode(moved, along), encode(poses, anchor), atol=1e-9, rtol=0)
+
+
+def test_a_view_knows_which_it_is_where_the_object_looks_alike_from_all(config):
+    """Else a pair of views could not be told from another pair with other places."""
+    module = Coordination(config.model)
+    views = candidate_views(config.model.views)
+    ball = Features(
+        torch.zeros(1, 4, 3), torch.zeros(1, 4, 3), torch.ones(1, 4, config.model.width)
+    )
+    f = module.view_features(ball, views)[0]
+    apart = torch.cdist(f, f) + torch.eye(len(views))
+    assert apart.min() > 0.1
 
 
 def test_labels_turn_with_the_scene():

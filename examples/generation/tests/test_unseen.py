@@ -65,7 +65,7 @@ def test_a_mesh_is_grasped_at_the_sizes_that_are_asked_for(command, block, train
 def test_one_view_of_a_mesh_is_enough(block, trained, tmp_path):
     request = SampleRequest(
         source=block, checkpoint=trained, out=tmp_path / "grasps", sizes_mm=(300,), grasps=2,
-        single_view=True, refine=2, quiet=True,
+        single_view=True, refine=2, draws=3, quiet=True,
     )  # fmt: skip
     assert sum(len(b) for b in sample_unseen(request).batches()) == 2
 
